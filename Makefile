@@ -1,0 +1,86 @@
+# Everything one does with this project; `make` alone lists it.
+
+PYTHON    ?= python3
+VENV      ?= .venv
+PORT      ?= 8000
+DESIGNS   ?= 400
+SEED      ?= 1
+WORKERS   ?= $(shell nproc 2>/dev/null || echo 2)
+
+BIN       := $(VENV)/bin
+PIP       := $(BIN)/python -m pip install --quiet --constraint constraints.txt
+INSTALLED := $(VENV)/.installed
+TESTABLE  := $(VENV)/.testable
+REFERENCE := runs/reference
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help run test lint format docs figures reference kill-test system pins clean
+
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
+
+run: $(INSTALLED) ## install what is missing, then serve on http://127.0.0.1:8000
+	$(BIN)/pba serve --port $(PORT)
+
+test: $(TESTABLE) system ## ruff, mypy and all tests in one pytest run
+	$(BIN)/python -m pytest
+
+lint: $(TESTABLE) ## ruff and mypy alone
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(TESTABLE) ## let ruff rewrite the sources in the project's format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+docs: $(TESTABLE) ## measure again every number that the documents quote
+	$(BIN)/python docs/measure.py
+
+figures: $(TESTABLE) ## draw the pictures of the README again
+	$(BIN)/python -m examples.readme_figures
+
+# Built aside and copied when complete: an interrupted run, which goes on where it
+# stopped, never leaves half a model in the package.
+reference: $(INSTALLED) ## generate the reference dataset and train its model (hours)
+	mkdir -p $(REFERENCE)
+	$(BIN)/pba generate --designs $(DESIGNS) --seed $(SEED) --workers $(WORKERS) \
+	    --out $(REFERENCE)/dataset.h5 --resume
+	$(BIN)/pba train $(REFERENCE)/dataset.h5 --out $(REFERENCE)/model
+	mkdir -p surrogate/reference
+	cp $(REFERENCE)/dataset.h5 $(REFERENCE)/model/* surrogate/reference/
+
+kill-test: $(TESTABLE) ## kill -9 a generation twenty times, resume it, compare the files
+	$(BIN)/python -m examples.kill_generate --kills 20
+
+system: ## programs the tests drive, from the system's packages
+	@sh tests/system.sh
+
+pins: $(TESTABLE) ## write constraints.txt from what the environment holds
+	grep '^#' constraints.txt > constraints.new
+	$(BIN)/python -m pip list --format=freeze --exclude pba --exclude pip \
+	    | sed 's/+.*//' >> constraints.new
+	mv constraints.new constraints.txt
+
+clean: ## remove the environment and every cache
+	rm -rf $(VENV) build *.egg-info .mypy_cache .pytest_cache .ruff_cache
+
+# Stamps make the second call instant.  A new top-level package changes what an
+# editable install has to find, hence the __init__ files.
+$(INSTALLED): pyproject.toml constraints.txt $(wildcard */__init__.py) | $(BIN)/python
+	@echo "installing into $(VENV) (a minute or a few, once)"
+	@$(PIP) --editable .
+	@touch $@
+
+$(TESTABLE): $(INSTALLED)
+	@$(PIP) --editable '.[test]'
+	@touch $@
+
+$(BIN)/python:
+	@for python in $(PYTHON) python3.13 python3.12 python3.11; do \
+	    if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	        2>/dev/null; then exec $$python -m venv $(VENV); fi; \
+	done; \
+	echo "Python 3.11 or newer is needed; name one: make PYTHON=/path/to/python3" >&2; \
+	exit 1

@@ -1,0 +1,196 @@
+"""The one extension point: how an effect is declared, checked and found.
+
+An effect is a function whose first argument is a `Problem` and whose other arguments
+are its parameters; it returns a changed copy::
+
+    @effect("load", [Parameter("offset", "Pa", -2e3, 2e3, off=0.0, ...)])
+    def pressure_offset(problem, offset):
+        "Cavity pressure = gauge pressure + offset."
+        return replace(problem, pressure_offset=problem.pressure_offset + offset)
+
+Built-in effects use the same door as a user's file.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import pkgutil
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from importlib import import_module, metadata
+from pathlib import Path
+from types import ModuleType
+
+from ..errors import EffectError
+from ..problem import STAGES, Problem
+from ..space import Parameter, Space
+
+ENTRY_POINTS = "pba.effects"
+"""Entry-point group of installed packages that bring effects."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A named change of the problem at one stage.
+
+    Parameters
+    ----------
+    name : str
+        Name of the function.
+    stage : str
+        One of `STAGES`; fixes the order in which effects act.
+    space : Space
+        Parameters, each with a finite `off` value at which the effect vanishes.
+    change : callable
+        ``change(problem, **values) -> Problem``.
+    doc : str
+        What the effect is, with its equation.
+    """
+
+    name: str
+    stage: str
+    space: Space
+    change: Callable[..., Problem]
+    doc: str
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.space.parameters
+
+    @property
+    def off(self) -> dict[str, float]:
+        """Values at which the effect vanishes."""
+        return {p.name: float(p.off) for p in self.parameters if p.off is not None}
+
+    def check(self, values: Mapping[str, float]) -> dict[str, float]:
+        """All parameters as floats: those given, the others at `off`.
+
+        Raises
+        ------
+        EffectError
+            When a name is unknown.
+        InputError
+            When a value is outside its range.
+        """
+        for name in values:
+            if name not in self.space.names:
+                raise EffectError(
+                    f"effect {self.name}: unknown parameter {name!r}; "
+                    f"allowed: {', '.join(self.space.names)}"
+                )
+        return self.off | {n: self.space[n].check(v) for n, v in values.items()}
+
+    def apply(self, problem: Problem, values: Mapping[str, float]) -> Problem:
+        """The problem with this effect in it; the same object at `off`."""
+        full = self.check(values)
+        return problem if full == self.off else self.change(problem, **full)
+
+
+def effect(
+    stage: str, parameters: Iterable[Parameter]
+) -> Callable[[Callable[..., Problem]], Effect]:
+    """Declare an effect; use as a decorator.
+
+    Parameters
+    ----------
+    stage : str
+        One of `STAGES`.
+    parameters : iterable of Parameter
+        In the order of the function's arguments after the problem.
+
+    Raises
+    ------
+    EffectError
+        When the stage is unknown, the signature does not match the parameters, a
+        parameter lacks its off value or source, or the function has no docstring.
+    """
+    space = Space(tuple(parameters))
+
+    def declare(change: Callable[..., Problem]) -> Effect:
+        name = change.__name__
+        if stage not in STAGES:
+            raise EffectError(
+                f"effect {name}: unknown stage {stage!r}; allowed: {', '.join(STAGES)}"
+            )
+        taken = tuple(inspect.signature(change).parameters)
+        if taken[1:] != space.names:
+            raise EffectError(
+                f"effect {name}: takes {taken[1:]} after the problem, but declares "
+                f"{space.names}"
+            )
+        for parameter in space:
+            if parameter.off is None:
+                raise EffectError(f"effect {name}: {parameter.name} has no off value")
+            if not parameter.contains(parameter.off):
+                raise EffectError(
+                    f"effect {name}: {parameter.name} is off outside its range"
+                )
+            if not parameter.source:
+                raise EffectError(f"effect {name}: {parameter.name} has no source")
+        if not space.parameters:
+            raise EffectError(f"effect {name}: declares no parameters")
+        doc = inspect.getdoc(change)
+        if not doc:
+            raise EffectError(f"effect {name}: has no docstring")
+        return Effect(name, stage, space, change, doc)
+
+    return declare
+
+
+def _effects_in(module: ModuleType) -> list[Effect]:
+    return [value for value in vars(module).values() if isinstance(value, Effect)]
+
+
+def _load_file(path: Path) -> ModuleType:
+    """Run a user's effect file as a module of its own."""
+    spec = importlib.util.spec_from_file_location(f"pba_effects_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise EffectError(f"{path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (SyntaxError, ImportError, NameError, TypeError, OSError) as error:
+        raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
+    return module
+
+
+def catalogue(effects_dir: Path | None = None) -> dict[str, Effect]:
+    """Every effect that can be named: built in, installed, and in a user's folder.
+
+    Parameters
+    ----------
+    effects_dir : Path, optional
+        Folder of Python files with effects.
+
+    Returns
+    -------
+    dict of str to Effect, sorted by name
+
+    Raises
+    ------
+    EffectError
+        When a file cannot be run or a name is taken twice.
+    """
+    package = import_module("datagen.effects")
+    found: list[tuple[str, Effect]] = []
+    for info in pkgutil.iter_modules(package.__path__):
+        if info.name != "door":
+            module = import_module(f"datagen.effects.{info.name}")
+            found += [(info.name, one) for one in _effects_in(module)]
+    for entry in metadata.entry_points(group=ENTRY_POINTS):
+        loaded = entry.load()
+        if not isinstance(loaded, Effect):
+            raise EffectError(f"entry point {entry.name}: not an effect")
+        found.append((f"entry point {entry.name}", loaded))
+    if effects_dir is not None:
+        if not effects_dir.is_dir():
+            raise EffectError(f"{effects_dir}: no such folder of effects")
+        for path in sorted(effects_dir.glob("*.py")):
+            found += [(str(path), one) for one in _effects_in(_load_file(path))]
+    names: dict[str, Effect] = {}
+    for place, one in found:
+        if one.name in names:
+            raise EffectError(f"{place}: an effect named {one.name!r} exists already")
+        names[one.name] = one
+    return dict(sorted(names.items()))

@@ -1,0 +1,435 @@
+"""Batched arithmetic of the 27-node hexahedron with a discontinuous pressure.
+
+Three-field form of Simo, Taylor and Pister (1985) with dilatation and pressure linear
+in each element and condensed there: the volumetric energy is the integral of
+U(Jt), where Jt is the element-wise L2 projection of J = det F on (1, xi, eta, zeta).
+The displacements stay the only unknowns and the tangent stays symmetric.
+
+An initial strain F = Fe Fg enters by taking the grown shape as reference: gradients are
+multiplied by Fg^-1 and volumes by det Fg, so the arithmetic sees Fe alone.
+
+The cavity is closed (its open side lies in the symmetry plane, where u_y = 0), so the
+follower pressure has the potential -p V; V is cubic in the node positions, and its
+first and second derivatives are exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from .mesh import Reference, reference
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class ElementData:
+    """What the kernels need of the undeformed elements.
+
+    inverse : (e, 27, 9) array, 1/m; d xi / d X times Fg^-1, row-major.
+    weight : (e, 27) array, m3; quadrature weight times volume, times det Fg.
+    basis : (27, 4) array; the pressure basis 1, xi, eta, zeta (centred).
+    mass_inverse : (e, 4, 4) array, 1/m3; inverse of the basis's mass matrix.
+    """
+
+    inverse: Array
+    weight: Array
+    basis: Array
+    mass_inverse: Array
+
+
+def element_data(
+    nodes: Array, cells: Array, growth: Array | None = None
+) -> ElementData:
+    """Gradients and weights of isoparametric elements.
+
+    Parameters
+    ----------
+    nodes : (n, 3) array, m
+    cells : (e, 27) array of int
+    growth : (e, 3, 3) array, optional
+        Initial strain Fg of each element; identity where it is not given.
+
+    Raises
+    ------
+    ValueError
+        When an undeformed element is inverted.
+    """
+    ref = reference()
+    jacobian = np.einsum("eai,qad->eqid", nodes[cells], ref.gradient, optimize=True)
+    volume = np.linalg.det(jacobian)
+    if not (volume > 0).all():
+        raise ValueError(f"element {int(np.argmin(volume.min(axis=1)))} is inverted")
+    inverse = np.linalg.inv(jacobian)
+    weight = ref.weight * volume
+    if growth is not None:
+        inverse = inverse @ np.linalg.inv(growth)[:, None]
+        weight = weight * np.linalg.det(growth)[:, None]
+    basis = np.concatenate([np.ones((27, 1)), ref.point - 0.5], axis=1)
+    mass = np.einsum("eq,qi,qj->eij", weight, basis, basis, optimize=True)
+    return ElementData(
+        np.ascontiguousarray(inverse.reshape(len(cells), 27, 9)),
+        np.ascontiguousarray(weight),
+        basis,
+        np.linalg.inv(mass),
+    )
+
+
+@njit(cache=True, fastmath=True)
+def deformation(x: Array, cells: Array, gradient: Array, inverse: Array) -> Array:
+    """Elastic deformation gradient at every quadrature point.
+
+    Parameters
+    ----------
+    x : (n, 3) array, m
+        Deformed node positions.
+    cells : (e, 27) array of int
+    gradient : (27, 27, 3) array
+        Of the reference element.
+    inverse : (e, 27, 9) array, 1/m
+
+    Returns
+    -------
+    (27 e, 9) array
+    """
+    elements = cells.shape[0]
+    f = np.empty((elements * 27, 9))
+    xe = np.empty((27, 3))
+    for e in range(elements):
+        for a in range(27):
+            for i in range(3):
+                xe[a, i] = x[cells[e, a], i]
+        for q in range(27):
+            m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0
+            for a in range(27):
+                g0, g1, g2 = gradient[q, a, 0], gradient[q, a, 1], gradient[q, a, 2]
+                m00 += xe[a, 0] * g0
+                m01 += xe[a, 0] * g1
+                m02 += xe[a, 0] * g2
+                m10 += xe[a, 1] * g0
+                m11 += xe[a, 1] * g1
+                m12 += xe[a, 1] * g2
+                m20 += xe[a, 2] * g0
+                m21 += xe[a, 2] * g1
+                m22 += xe[a, 2] * g2
+            d = inverse[e, q]
+            out = f[27 * e + q]
+            for j in range(3):
+                out[j] = m00 * d[j] + m01 * d[3 + j] + m02 * d[6 + j]
+                out[3 + j] = m10 * d[j] + m11 * d[3 + j] + m12 * d[6 + j]
+                out[6 + j] = m20 * d[j] + m21 * d[3 + j] + m22 * d[6 + j]
+    return f
+
+
+@njit(cache=True, fastmath=True)
+def _cofactor(a: Array, c: Array) -> float:
+    """Cofactor matrix of `a` (9,) into `c`, and the determinant."""
+    c[0] = a[4] * a[8] - a[5] * a[7]
+    c[1] = a[5] * a[6] - a[3] * a[8]
+    c[2] = a[3] * a[7] - a[4] * a[6]
+    c[3] = a[2] * a[7] - a[1] * a[8]
+    c[4] = a[0] * a[8] - a[2] * a[6]
+    c[5] = a[1] * a[6] - a[0] * a[7]
+    c[6] = a[1] * a[5] - a[2] * a[4]
+    c[7] = a[2] * a[3] - a[0] * a[5]
+    c[8] = a[0] * a[4] - a[1] * a[3]
+    return a[0] * c[0] + a[1] * c[1] + a[2] * c[2]
+
+
+@njit(cache=True, fastmath=True)
+def smallest_determinant(f: Array) -> tuple[float, int]:
+    """Smallest det F of (n, 9) gradients and the point that has it."""
+    c = np.empty(9)
+    least, where = np.inf, 0
+    for q in range(f.shape[0]):
+        det = _cofactor(f[q], c)
+        if not det >= least:  # also true of NaN
+            least, where = det, q
+    return least, where
+
+
+@njit(cache=True, fastmath=True)
+def internal_force(
+    f: Array,
+    stress: Array,
+    bulk: Array,
+    nodes: int,
+    cells: Array,
+    gradient: Array,
+    inverse: Array,
+    weight: Array,
+    basis: Array,
+    mass_inverse: Array,
+) -> tuple[Array, Array]:
+    """Nodal forces of the stress, and the element pressure fields.
+
+    Parameters
+    ----------
+    f, stress : (27 e, 9) array
+        Deformation gradient and isochoric stress (Pa) at every point.
+    bulk : (e,) array, Pa
+    nodes : int
+        Number of nodes.
+    cells, gradient, inverse, weight, basis, mass_inverse
+        See `ElementData`.
+
+    Returns
+    -------
+    force : (nodes, 3) array, N
+    pressure : (e, 27) array, Pa
+        U'(Jt) at the points; positive in tension.
+    """
+    elements = cells.shape[0]
+    force = np.zeros((nodes, 3))
+    pressure = np.empty((elements, 27))
+    cof = np.empty((27, 9))
+    rhs, theta = np.empty(4), np.empty(4)
+    s = np.empty(9)
+    fe = np.empty((27, 3))
+    for e in range(elements):
+        rhs[:] = 0.0
+        for q in range(27):
+            det = _cofactor(f[27 * e + q], cof[q])
+            for i in range(4):
+                rhs[i] += weight[e, q] * basis[q, i] * (det - 1.0)
+        for i in range(4):
+            theta[i] = 0.0
+            for j in range(4):
+                theta[i] += mass_inverse[e, i, j] * rhs[j]
+        fe[:] = 0.0
+        for q in range(27):
+            p = 0.0
+            for i in range(4):
+                p += basis[q, i] * theta[i]
+            p *= bulk[e]
+            pressure[e, q] = p
+            t = stress[27 * e + q]
+            d = inverse[e, q]
+            w = weight[e, q]
+            # s = w P D^T, so that the force is s times the reference gradient
+            for i in range(3):
+                p0 = t[3 * i] + p * cof[q, 3 * i]
+                p1 = t[3 * i + 1] + p * cof[q, 3 * i + 1]
+                p2 = t[3 * i + 2] + p * cof[q, 3 * i + 2]
+                for j in range(3):
+                    s[3 * i + j] = w * (
+                        p0 * d[3 * j] + p1 * d[3 * j + 1] + p2 * d[3 * j + 2]
+                    )
+            for a in range(27):
+                g0, g1, g2 = gradient[q, a, 0], gradient[q, a, 1], gradient[q, a, 2]
+                fe[a, 0] += s[0] * g0 + s[1] * g1 + s[2] * g2
+                fe[a, 1] += s[3] * g0 + s[4] * g1 + s[5] * g2
+                fe[a, 2] += s[6] * g0 + s[7] * g1 + s[8] * g2
+        for a in range(27):
+            for i in range(3):
+                force[cells[e, a], i] += fe[a, i]
+    return force, pressure
+
+
+@njit(cache=True, fastmath=True)
+def add_stiffness(
+    data: Array,
+    position: Array,
+    f: Array,
+    tangent: Array,
+    pressure: Array,
+    bulk: Array,
+    gradient: Array,
+    inverse: Array,
+    weight: Array,
+    basis: Array,
+    mass_inverse: Array,
+) -> None:
+    """Add every element's tangent to the values of a sparse upper triangle.
+
+    Parameters
+    ----------
+    data : (nnz,) array, N/m
+        Added to in place.
+    position : (e, 81 * 82 / 2) array of int
+        Where each entry of the element's upper triangle goes, -1 for nowhere; rows
+        and columns run over (direction, node) with the node fastest.
+    f : (27 e, 9) array
+    tangent : (27 e, 81) array, Pa
+    pressure : (e, 27) array, Pa
+    bulk : (e,) array, Pa
+    gradient, inverse, weight, basis, mass_inverse
+        See `ElementData`.
+    """
+    elements = weight.shape[0]
+    g = np.empty((3, 27))
+    block = np.empty((81, 81))
+    work = np.empty((9, 27))
+    cof, b = np.empty(9), np.empty(81)
+    moment = np.empty((4, 81))
+    c = np.empty((9, 9))
+    for e in range(elements):
+        block[:] = 0.0
+        moment[:] = 0.0
+        for q in range(27):
+            d = inverse[e, q]
+            for a in range(27):
+                r0, r1, r2 = gradient[q, a, 0], gradient[q, a, 1], gradient[q, a, 2]
+                g[0, a] = r0 * d[0] + r1 * d[3] + r2 * d[6]
+                g[1, a] = r0 * d[1] + r1 * d[4] + r2 * d[7]
+                g[2, a] = r0 * d[2] + r1 * d[5] + r2 * d[8]
+            point = 27 * e + q
+            det = _cofactor(f[point], cof)
+            w = weight[e, q]
+            # dP/dF plus the pressure times d2J/dF2 = (cof cof - swapped) / J
+            factor = pressure[e, q] / det
+            for r in range(9):
+                i, jj = r // 3, r % 3
+                for s in range(9):
+                    k, ll = s // 3, s % 3
+                    c[r, s] = w * (
+                        tangent[point, 9 * r + s]
+                        + factor * (cof[r] * cof[s] - cof[3 * i + ll] * cof[3 * k + jj])
+                    )
+            for i in range(3):
+                for a in range(27):
+                    b[27 * i + a] = (
+                        cof[3 * i] * g[0, a]
+                        + cof[3 * i + 1] * g[1, a]
+                        + cof[3 * i + 2] * g[2, a]
+                    )
+            for m in range(4):
+                weighted = w * basis[q, m]
+                for r in range(81):
+                    moment[m, r] += weighted * b[r]
+            for k in range(3):
+                # work[iJ, b] = sum over L of c[iJ, kL] g[L, b], rows with i <= k
+                for r in range(3 * k + 3):
+                    c0, c1, c2 = c[r, 3 * k], c[r, 3 * k + 1], c[r, 3 * k + 2]
+                    for n in range(27):
+                        work[r, n] = c0 * g[0, n] + c1 * g[1, n] + c2 * g[2, n]
+                for i in range(k + 1):
+                    for a in range(27):
+                        g0, g1, g2 = g[0, a], g[1, a], g[2, a]
+                        row = block[27 * i + a]
+                        for n in range(27):
+                            row[27 * k + n] += (
+                                g0 * work[3 * i, n]
+                                + g1 * work[3 * i + 1, n]
+                                + g2 * work[3 * i + 2, n]
+                            )
+        # Condensed pressure: B^T M^-1 (K M) M^-1 B with a constant bulk modulus.
+        for m in range(4):
+            for n in range(4):
+                h = bulk[e] * mass_inverse[e, m, n]
+                for r in range(81):
+                    left = h * moment[m, r]
+                    for s in range(r, 81):
+                        block[r, s] += left * moment[n, s]
+        entry = 0
+        for r in range(81):
+            for s in range(r, 81):
+                where = position[e, entry]
+                if where >= 0:
+                    data[where] += block[r, s]
+                entry += 1
+
+
+@lru_cache(maxsize=1)
+def face_tensor() -> Array:
+    """(9, 9, 9) array S, totally antisymmetric, with V = sum S_abc x_a . (x_b x x_c).
+
+    V is the volume of the cone from the origin to a nine-node face; summed over a
+    closed surface it is the volume inside.  dV/dx_a = 3 sum S_abc (x_b x x_c).
+    """
+    ref: Reference = reference()
+    shape, slope = ref.face_shape, ref.face_gradient
+    raw = np.einsum(
+        "q,qa,qb,qc->abc", ref.face_weight / 3, shape, slope[..., 0], slope[..., 1]
+    )
+    even = raw + raw.transpose(1, 2, 0) + raw.transpose(2, 0, 1)
+    odd = raw.transpose(0, 2, 1) + raw.transpose(1, 0, 2) + raw.transpose(2, 1, 0)
+    return np.ascontiguousarray((even - odd) / 6)
+
+
+@njit(cache=True, fastmath=True)
+def cavity(x: Array, faces: Array, tensor: Array) -> tuple[float, Array]:
+    """Volume inside faces and its gradient by the node positions.
+
+    Parameters
+    ----------
+    x : (n, 3) array, m
+    faces : (f, 9) array of int
+        Oriented out of the cavity.
+    tensor : (9, 9, 9) array
+        `face_tensor`.
+
+    Returns
+    -------
+    volume : float, m3
+    gradient : (n, 3) array, m2
+        Times the pressure: the nodal forces of the follower load.
+    """
+    gradient = np.zeros(x.shape)
+    volume = 0.0
+    xe = np.empty((9, 3))
+    m = np.empty((9, 3))
+    for face in range(faces.shape[0]):
+        for a in range(9):
+            for i in range(3):
+                xe[a, i] = x[faces[face, a], i]
+        for a in range(9):
+            v0 = v1 = v2 = 0.0
+            for b in range(9):
+                m[b, 0] = m[b, 1] = m[b, 2] = 0.0
+                for c in range(9):
+                    t = tensor[a, b, c]
+                    m[b, 0] += t * xe[c, 0]
+                    m[b, 1] += t * xe[c, 1]
+                    m[b, 2] += t * xe[c, 2]
+                v0 += xe[b, 1] * m[b, 2] - xe[b, 2] * m[b, 1]
+                v1 += xe[b, 2] * m[b, 0] - xe[b, 0] * m[b, 2]
+                v2 += xe[b, 0] * m[b, 1] - xe[b, 1] * m[b, 0]
+            node = faces[face, a]
+            gradient[node, 0] += 3 * v0
+            gradient[node, 1] += 3 * v1
+            gradient[node, 2] += 3 * v2
+            volume += xe[a, 0] * v0 + xe[a, 1] * v1 + xe[a, 2] * v2
+    return volume, gradient
+
+
+@njit(cache=True, fastmath=True)
+def add_load_stiffness(
+    data: Array, position: Array, x: Array, faces: Array, tensor: Array, pressure: float
+) -> None:
+    """Add -p d2V/dx2 of every face to the values of a sparse upper triangle.
+
+    d2V/dx_ai dx_bj = 6 sum_c S_abc eps_ijk x_ck.
+
+    Parameters
+    ----------
+    data : (nnz,) array, N/m
+        Added to in place.
+    position : (f, 27 * 28 / 2) array of int
+        As in `add_stiffness`, over (direction, node) with the node fastest.
+    x, faces, tensor
+        As in `cavity`.
+    pressure : float, Pa
+    """
+    v = np.empty(3)
+    for face in range(faces.shape[0]):
+        entry = 0
+        for r in range(27):
+            i, a = r // 9, r % 9
+            for s in range(r, 27):
+                j, b = s // 9, s % 9
+                where = position[face, entry]
+                entry += 1
+                if where < 0 or i == j:
+                    continue
+                k = 3 - i - j
+                total = 0.0
+                for c in range(9):
+                    total += tensor[a, b, c] * x[faces[face, c], k]
+                sign = 1.0 if (j - i) % 3 == 1 else -1.0
+                v[k] = total
+                data[where] -= 6 * pressure * sign * total

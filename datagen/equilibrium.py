@@ -1,0 +1,354 @@
+"""Residual and tangent of one problem, assembled on one sparse pattern.
+
+A `Pattern` depends on the mesh's topology and the held displacements alone, so it is
+made once and shared by every design with the same divisions.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from . import elements as el
+from .linear import BACKENDS, Solver, default_backend
+from .mesh import LOWER, UPPER, reference
+from .problem import Problem
+
+Array = np.ndarray
+
+
+class InvertedElement(ArithmeticError):
+    """det F fell to zero or below somewhere; `element` says where."""
+
+    def __init__(self, element: int) -> None:
+        self.element = element
+        super().__init__(f"element {element} is inverted")
+
+
+@njit(cache=True)
+def _neighbours(cells: Array, nodes: int) -> tuple[Array, Array]:
+    """Sorted node neighbours (itself included) in compressed rows."""
+    count = np.zeros(nodes + 1, np.int64)
+    for e in range(cells.shape[0]):
+        for a in cells[e]:
+            count[a + 1] += 1
+    start = np.cumsum(count)
+    owner = np.empty(start[-1], np.int64)
+    fill = start[:-1].copy()
+    for e in range(cells.shape[0]):
+        for a in cells[e]:
+            owner[fill[a]] = e
+            fill[a] += 1
+    seen = np.full(nodes, -1, np.int64)
+    indptr = np.zeros(nodes + 1, np.int64)
+    for sweep in range(2):
+        if sweep == 1:
+            indices = np.empty(indptr[nodes], np.int64)
+        seen[:] = -1
+        total = 0
+        for a in range(nodes):
+            begin = total
+            for k in range(start[a], start[a + 1]):
+                for b in cells[owner[k]]:
+                    if seen[b] != a:
+                        seen[b] = a
+                        if sweep == 1:
+                            indices[total] = b
+                        total += 1
+            indptr[a + 1] = total
+            if sweep == 1:
+                indices[begin:total] = np.sort(indices[begin:total])
+    return indptr, indices
+
+
+@njit(cache=True)
+def _triangle(
+    indptr: Array, indices: Array, number: Array, free: int
+) -> tuple[Array, Array]:
+    """Upper triangle over free unknowns from node neighbours.
+
+    number : (n, 3) array; unknown of each displacement, -1 where held; increasing
+    with (node, direction), so that rows come out sorted.
+    """
+    rows = np.zeros(free + 1, np.int64)
+    for sweep in range(2):
+        if sweep == 1:
+            rows = np.cumsum(rows)
+            columns = np.empty(rows[free], np.int32)
+        for a in range(number.shape[0]):
+            for i in range(3):
+                r = number[a, i]
+                if r < 0:
+                    continue
+                fill = 0
+                for k in range(indptr[a], indptr[a + 1]):
+                    for j in range(3):
+                        s = number[indices[k], j]
+                        if s >= r:
+                            if sweep == 1:
+                                columns[rows[r] + fill] = s
+                            fill += 1
+                if sweep == 0:
+                    rows[r + 1] = fill
+    return rows, columns
+
+
+@njit(cache=True)
+def _positions(groups: Array, number: Array, indptr: Array, columns: Array) -> Array:
+    """Where the entries of each group's upper triangle stand in the values.
+
+    groups : (g, k) array of nodes; entries run over (direction, node), node fastest.
+    """
+    k = groups.shape[1]
+    size = 3 * k
+    out = np.empty((groups.shape[0], size * (size + 1) // 2), np.int32)
+    for g in range(groups.shape[0]):
+        entry = 0
+        for r in range(size):
+            row = number[groups[g, r % k], r // k]
+            for s in range(r, size):
+                column = number[groups[g, s % k], s // k]
+                if row < 0 or column < 0:
+                    out[g, entry] = -1
+                else:
+                    low, high = min(row, column), max(row, column)
+                    first = indptr[low]
+                    out[g, entry] = first + np.searchsorted(
+                        columns[first : indptr[low + 1]], high
+                    )
+                entry += 1
+    return out
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Sparse upper triangle of a topology, and where each entry goes.
+
+    number : (n, 3) array of int; unknown of each displacement, -1 where held.
+    free : (k, 2) array; node and direction of each unknown.
+    indptr, indices : compressed rows of the upper triangle.
+    of_cells, of_faces : positions, see `elements.add_stiffness`.
+    """
+
+    number: Array
+    free: Array
+    indptr: Array
+    indices: Array
+    of_cells: Array
+    of_faces: Array
+
+
+def make_pattern(cells: Array, faces: Array, fixed: Array) -> Pattern:
+    """Pattern of elements and cavity faces with some displacements held."""
+    number = np.full(fixed.shape, -1, dtype=np.int64)
+    number[~fixed] = np.arange(int((~fixed).sum()))
+    indptr, indices = _neighbours(cells, len(fixed))
+    rows, columns = _triangle(indptr, indices, number, int(number.max()) + 1)
+    return Pattern(
+        number=number,
+        free=np.argwhere(~fixed),
+        indptr=rows,
+        indices=columns,
+        of_cells=_positions(cells, number, rows, columns),
+        of_faces=_positions(faces, number, rows, columns),
+    )
+
+
+class Workspace:
+    """Patterns and symbolic analyses, kept for the topologies used last.
+
+    Parameters
+    ----------
+    backend : str, optional
+        Of `linear.BACKENDS`; the fastest there is where it is not given.
+    threads : int
+        Of the linear solver.
+    size : int
+        Number of topologies kept.
+    """
+
+    def __init__(
+        self, backend: str | None = None, threads: int = 1, size: int = 2
+    ) -> None:
+        self.backend = backend or default_backend()
+        self.threads, self.size = threads, size
+        self._kept: OrderedDict[bytes, tuple[Pattern, dict[bool, Solver]]] = (
+            OrderedDict()
+        )
+
+    def pattern(self, problem: Problem) -> tuple[Pattern, dict[bool, Solver]]:
+        """The problem's pattern and the solvers made for it so far."""
+        cells, faces = problem.mesh.cells, problem.mesh.cavity_faces
+        key = cells.tobytes() + faces.tobytes() + np.packbits(problem.fixed).tobytes()
+        if key not in self._kept:
+            self._kept[key] = (make_pattern(cells, faces, problem.fixed), {})
+        self._kept.move_to_end(key)
+        while len(self._kept) > self.size:
+            self._kept.popitem(last=False)
+        return self._kept[key]
+
+    def solver(self, problem: Problem, definite: bool) -> Solver:
+        """A solver for the problem's pattern, analysed once."""
+        pattern, solvers = self.pattern(problem)
+        if definite not in solvers:
+            solvers[definite] = BACKENDS[self.backend](
+                pattern.indptr, pattern.indices, definite, self.threads
+            )
+        return solvers[definite]
+
+
+class Evaluation(NamedTuple):
+    """One evaluation of the equilibrium equations; k unknowns.
+
+    residual : (k,) array, N; internal minus external forces.
+    volume : float, m3; of the cavities in the half model.
+    volume_gradient : (k,) array, m2; dV/dx.
+    tangent : (nnz,) array, N/m, or None where it was not asked for.
+    history : per layer, (points, h) array at the end of the step.
+    """
+
+    residual: Array
+    volume: float
+    volume_gradient: Array
+    tangent: Array | None
+    history: tuple[Array, ...]
+
+
+class Equilibrium:
+    """Equilibrium equations of one problem.
+
+    Parameters
+    ----------
+    problem : Problem
+    workspace : Workspace
+    """
+
+    def __init__(self, problem: Problem, workspace: Workspace) -> None:
+        self.problem, self.workspace = problem, workspace
+        mesh = problem.mesh
+        self.pattern, _ = workspace.pattern(problem)
+        self.unknowns = len(self.pattern.free)
+        self._tensor = el.face_tensor()
+        self._gradient = reference().gradient
+        self._points = [np.repeat(mesh.layer == layer, 27) for layer in (LOWER, UPPER)]
+        self._mu = np.repeat(problem.shear_modulus, 27)
+        self.history: tuple[Array, ...] = tuple(
+            np.zeros((int(points.sum()), law.history_size))
+            for points, law in zip(self._points, problem.laws, strict=True)
+        )
+        self._one_law = problem.laws[0] == problem.laws[1] and not any(
+            law.history_size for law in problem.laws
+        )
+        self.set_share(1.0)
+
+    def set_share(self, share: float) -> None:
+        """Let this share of growth and weight act; the way to a start at rest."""
+        problem, mesh = self.problem, self.problem.mesh
+        growth = None
+        if problem.growth is not None:
+            unit = np.eye(3)
+            growth = unit + share * (problem.growth - unit)
+        self.data = el.element_data(problem.nodes, mesh.cells, growth)
+        body = np.zeros(problem.nodes.shape)
+        if problem.density.any() and problem.gravity.any():
+            # Mass is that of the stress-free shape, whatever grows later.
+            weight = el.element_data(problem.nodes, mesh.cells).weight
+            mass = (weight * problem.density[:, None]) @ reference().shape
+            for i in range(3):
+                np.add.at(body[:, i], mesh.cells, share * mass * problem.gravity[i])
+        self._body = self.restrict(body)
+
+    def restrict(self, field: Array) -> Array:
+        """Unknowns (k,) of a nodal field (n, 3)."""
+        return field[self.pattern.free[:, 0], self.pattern.free[:, 1]]
+
+    def extend(self, unknowns: Array) -> Array:
+        """Nodal field (n, 3) of unknowns (k,), zero where held."""
+        field = np.zeros(self.problem.nodes.shape)
+        field[self.pattern.free[:, 0], self.pattern.free[:, 1]] = unknowns
+        return field
+
+    def _respond(
+        self, f: Array, dt: float, tangent: bool
+    ) -> tuple[Array, Array, tuple[Array, ...]]:
+        laws = self.problem.laws
+        if self._one_law:
+            result = laws[0].respond(f, self._mu, np.zeros((len(f), 0)), dt, tangent)
+            return result.stress, result.tangent, self.history
+        stress = np.empty((len(f), 9))
+        slope = np.empty((len(f) if tangent else 0, 81))
+        history = []
+        for points, law, old in zip(self._points, laws, self.history, strict=True):
+            result = law.respond(f[points], self._mu[points], old, dt, tangent)
+            stress[points] = result.stress
+            if tangent:
+                slope[points] = result.tangent
+            history.append(result.history)
+        return stress, slope, tuple(history)
+
+    def evaluate(
+        self, x: Array, pressure: float, dt: float = 1.0, tangent: bool = False
+    ) -> Evaluation:
+        """Residual, and the tangent where it is wanted.
+
+        Parameters
+        ----------
+        x : (n, 3) array, m
+            Deformed node positions.
+        pressure : float, Pa
+            In the cavities.
+        dt : float, s
+            Duration of the step, for laws with history.
+
+        Raises
+        ------
+        InvertedElement
+            When det F is zero or below at some quadrature point.
+        """
+        mesh, data = self.problem.mesh, self.data
+        f = el.deformation(x, mesh.cells, self._gradient, data.inverse)
+        least, where = el.smallest_determinant(f)
+        if not least > 0:
+            raise InvertedElement(where // 27)
+        stress, slope, history = self._respond(f, dt, tangent)
+        arrays = (
+            self._gradient,
+            data.inverse,
+            data.weight,
+            data.basis,
+            data.mass_inverse,
+        )
+        bulk = self.problem.bulk_modulus
+        force, element_pressure = el.internal_force(
+            f, stress, bulk, len(x), mesh.cells, *arrays
+        )
+        volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
+        normal = self.restrict(gradient)
+        residual = self.restrict(force) - pressure * normal - self._body
+        values = None
+        if tangent:
+            values = np.zeros(len(self.pattern.indices))
+            el.add_stiffness(
+                values, self.pattern.of_cells, f, slope, element_pressure, bulk, *arrays
+            )
+            el.add_load_stiffness(
+                values,
+                self.pattern.of_faces,
+                x,
+                mesh.cavity_faces,
+                self._tensor,
+                pressure,
+            )
+        return Evaluation(residual, volume, normal, values, history)
+
+    def where(self, element: int) -> str:
+        """Place of an element in words, for messages."""
+        layer = "upper" if self.problem.mesh.layer[element] == UPPER else "lower"
+        x, y, z = 1e3 * self.problem.nodes[self.problem.mesh.cells[element]].mean(
+            axis=0
+        )
+        return f"in the {layer} layer at x = {x:.3g}, y = {y:.3g}, z = {z:.3g} mm"

@@ -1,0 +1,325 @@
+"""Generating a dataset: sample designs, solve each path, never lose a finished one.
+
+>>> from datagen.generate import generate
+>>> data = generate(300, seed=0, out="paths.h5", workers=4)  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from .dataset import Dataset, space_to_json
+from .device import DESIGN_SPACE, MAX_PRESSURE
+from .errors import EffectError, GenerationError, InputError, Interrupted
+from .parts import Manifest, Parts, inputs_digest, parts_folder, refusal
+from .pool import DaskPool, Failure, GivenExecutor, Pool, ProcessPool, solve_tasks
+from .space import Space
+from .worker import PROPER_ENDS, Row, Solve, Task, solve_row
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is.
+
+    Parameters
+    ----------
+    done, total : int
+        Finished rows, those of earlier sessions included, and all rows.
+    failed : int
+        Finished rows whose path stopped before its highest or its limit pressure.
+    rate : float, 1/s
+        Rows finished per second in this session; 0 before the first.
+    seconds_left : float or None, s
+        At this rate; None while there is none.
+    """
+
+    done: int
+    total: int
+    failed: int
+    rate: float
+    seconds_left: float | None
+
+
+def sampled_space(effects: Sequence[str] = ()) -> Space:
+    """The default design space, then the parameters of `effects`.
+
+    Raises
+    ------
+    EffectError
+        When an effect is unknown.
+    InputError
+        When an effect is named twice.
+    """
+    if not effects:
+        return DESIGN_SPACE
+    from .effects import catalogue
+
+    known = catalogue()
+    for name in effects:
+        if name not in known:
+            allowed = ", ".join(sorted(known))
+            raise EffectError(f"effect: {name!r} is unknown; allowed: {allowed}")
+    if len(set(effects)) < len(effects):
+        raise InputError("effects", ", ".join(effects), "each effect once")
+    further = (
+        replace(parameter, name=f"{name}.{parameter.name}")
+        for name in effects
+        for parameter in known[name].parameters
+    )
+    return Space((*DESIGN_SPACE, *further))
+
+
+def generate(
+    count: int,
+    seed: int,
+    out: str | Path,
+    *,
+    effects: Sequence[str] = (),
+    level: str = "standard",
+    workers: int = 1,
+    scheduler: str | None = None,
+    resume: bool = False,
+    max_pressure: float = MAX_PRESSURE,
+    progress: Callable[[Progress], None] | None = None,
+    executor: Executor | None = None,
+    solve: Solve = solve_row,
+    version: str | None = None,
+) -> Dataset:
+    """Generate a dataset into one HDF5 file.
+
+    Finished paths wait in ``OUT.parts`` until all are there.  A killed run loses the
+    paths in flight and nothing else; ``resume=True`` goes on, and the finished file has
+    the values that an uninterrupted run gives, whatever the number of workers.
+
+    Parameters
+    ----------
+    count : int
+        Number of designs, a Latin hypercube over `sampled_space`.
+    seed : int
+        The same seed and count give the same designs.
+    out : path
+        The HDF5 file; it appears when it is complete.
+    effects : sequence of str
+        Effects to be active; their parameters are sampled with the design.
+    level : str
+        Mesh level.
+    workers : int
+        Worker processes, each on one thread; with `executor`, the number it has.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers are used instead.
+    resume : bool
+        Go on with what an earlier run with the same settings has left.
+    max_pressure : float, Pa
+        Each path runs to here or to its limit pressure.
+    progress : callable, optional
+        Called with a `Progress` at the start and after each row.
+    executor : concurrent.futures.Executor, optional
+        Used instead of a process pool of ours; it stays open.
+    solve : callable
+        Top-level function from a `Task` to its `Row`.
+    version : str, optional
+        Version of what `solve` computes; that of the finite elements by default.
+
+    Returns
+    -------
+    Dataset
+        As read back from the file.
+
+    Raises
+    ------
+    InputError
+        When a setting is not allowed, `out` or its parts exist (without `resume`), or
+        were begun with other settings (with it), or another run is writing them.
+    EffectError
+        When an effect is unknown.
+    FileError
+        When a file cannot be written or read.
+    GenerationError
+        When rows failed other than numerically; names the first with its design.
+    Interrupted
+        On Ctrl-C.
+    """
+    _check_whole("designs", count, 1, 10**8)
+    _check_whole("seed", seed, 0, 2**63 - 1)
+    _check_whole("workers", workers, 1, 4096)
+    if not (math.isfinite(max_pressure) and max_pressure > 0):
+        raise InputError("max_pressure", max_pressure, "a number above 0", "Pa")
+    if scheduler is not None and executor is not None:
+        raise InputError("scheduler", scheduler, "no executor beside it")
+    out = Path(out)
+    active = tuple(sorted(effects))  # the order of their names changes nothing
+    space = sampled_space(active)
+    inputs = space.sample(count, seed)
+    tasks = [
+        Task(i, space.names, tuple(row), active, level, float(max_pressure))
+        for i, row in enumerate(inputs.tolist())
+    ]
+    if version is None:
+        version = _fem_version(tasks[0])
+    manifest = Manifest(
+        designs=count,
+        seed=int(seed),
+        effects=active,
+        level=level,
+        max_pressure=float(max_pressure),
+        generator_version=version,
+        design_space=tuple(space_to_json(space)),
+        inputs_sha256=inputs_digest(inputs),
+    )
+    folder = parts_folder(out)
+    for path in (out, folder):
+        if path.exists() and not resume:
+            raise refusal(path)
+    if out.exists() and not folder.exists():
+        return _finished(out, manifest)
+    with Parts(out, manifest, resume) as parts:
+        if out.exists():  # killed, or finished by another run, before the clean-up
+            data = _finished(out, manifest)
+            parts.remove()
+            return data
+        session = _Session(parts, len(tasks), progress)
+        try:
+            rows = session.run(
+                tasks, solve, lambda: _pool(workers, scheduler, executor)
+            )
+            data = Dataset.from_rows(
+                rows,
+                variables=space.names,
+                inputs=inputs,
+                space=space,
+                seed=manifest.seed,
+                level=level,
+                effects=active,
+                generator_version=version,
+                max_pressure=manifest.max_pressure,
+            )
+            data = parts.publish(data)
+        except KeyboardInterrupt:
+            raise Interrupted(f"interrupted: {session.kept()}") from None
+        parts.remove()
+        return data
+
+
+def _check_whole(name: str, value: object, lower: int, upper: int) -> None:
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or not lower <= value <= upper:  # type: ignore[operator]
+        raise InputError(name, value, f"a whole number from {lower} to {upper}")
+
+
+def _fem_version(task: Task) -> str:
+    """Version of the finite elements, once they accept the settings of a task."""
+    from .model import GENERATOR_VERSION, Model
+
+    Model(effects=task.effects, level=task.level, parameters=task.split()[1])
+    return GENERATOR_VERSION
+
+
+def _finished(out: Path, manifest: Manifest) -> Dataset:
+    """The dataset that is there already, if it is the one that was asked for."""
+    import json
+
+    data = Dataset.read(out)
+    manifest.check_resumes(json.loads(Manifest.of(data).to_json()), out)
+    return data
+
+
+def _pool(workers: int, scheduler: str | None, executor: Executor | None) -> Pool:
+    if scheduler is not None:
+        return DaskPool(scheduler)
+    if executor is not None:
+        return GivenExecutor(executor, workers)
+    return ProcessPool(workers)
+
+
+@dataclass
+class _Session:
+    """One session of a run: the rows that are there and those that it adds."""
+
+    parts: Parts
+    total: int
+    progress: Callable[[Progress], None] | None
+    rows: dict[int, Row] = field(default_factory=dict)
+    failed: int = 0
+    added: int = 0
+    started: float = field(default_factory=time.monotonic)
+
+    def run(
+        self, tasks: Iterable[Task], solve: Solve, make_pool: Callable[[], Pool]
+    ) -> list[Row]:
+        """Rows of all tasks: what is on disk is read, what is missing is solved."""
+        for row in self.parts.read(tasks):
+            self._count(row)
+        missing = [task for task in tasks if task.row not in self.rows]
+        self._report()
+        if missing:
+            pool = make_pool()
+            self._solve(missing, solve, pool)
+        return list(self.rows.values())
+
+    def _solve(self, tasks: list[Task], solve: Solve, pool: Pool) -> None:
+        """Solve `tasks`; those that fail are named when the others are done."""
+        try:
+            failures = solve_tasks(tasks, pool, solve, self._keep)
+        except BaseException as error:
+            pool.close(now=True)
+            if isinstance(error, GenerationError):
+                raise GenerationError(f"{error}; {self.kept()}") from error
+            raise
+        pool.close(now=False)
+        if failures:
+            text = f"{_describe(failures)}; {self.kept()}"
+            raise GenerationError(text) from failures[0].error
+
+    def _keep(self, task: Task, row: Row) -> None:
+        if row.row != task.row:
+            raise GenerationError(f"row {task.row} was answered by row {row.row}")
+        if row.row in self.rows:
+            return
+        self.parts.write(task, row)
+        self._count(row)
+        self.added += 1
+        self._report()
+
+    def _count(self, row: Row) -> None:
+        self.rows[row.row] = row
+        self.failed += row.path_status not in PROPER_ENDS
+
+    def _report(self) -> None:
+        if self.progress is None:
+            return
+        done, elapsed = len(self.rows), time.monotonic() - self.started
+        rate = self.added / elapsed if elapsed > 0 else 0.0
+        left = (self.total - done) / rate if rate > 0 else None
+        self.progress(Progress(done, self.total, self.failed, rate, left))
+
+    def kept(self) -> str:
+        """What is on disk and how to go on, in words."""
+        if not self.rows:
+            return "no path was finished yet"
+        return (
+            f"{len(self.rows)} of {self.total} paths are kept in {self.parts.folder}; "
+            "the same command with --resume goes on"
+        )
+
+
+def _describe(failures: list[Failure]) -> str:
+    first = min(failures, key=lambda failure: failure.task.row)
+    task, error = first.task, first.error
+    text = " ".join(str(error).split())
+    cause = text if isinstance(error, GenerationError) else repr(error)
+    design = ", ".join(
+        f"{name}={value:.6g}"
+        for name, value in zip(task.variables, task.inputs, strict=True)
+    )
+    others = len(failures) - 1
+    more = f" (and {others} more rows)" if others else ""
+    return f"row {task.row}{more} failed: {cause}; its design, SI: {design}"

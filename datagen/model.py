@@ -1,0 +1,201 @@
+"""The finite-element model: a baseline and the names of its active effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from .continuation import PathFollower
+from .device import DESIGN_SPACE, MAX_PRESSURE, Design
+from .effects import Effect, catalogue
+from .equilibrium import Workspace
+from .errors import EffectError, InputError
+from .mesh import mesh_level
+from .problem import STAGES, Problem, baseline
+from .response import OUTPUT_NAMES, Path, Response
+from .solver import solve
+from .space import Parameter, Space
+
+Array = np.ndarray
+
+GENERATOR_VERSION = "1"
+"""Changes whenever the numbers that the model gives change."""
+
+
+EXPLORED_STEPS = 10
+"""Even load steps of `Model.explore`, besides those that the follower adds."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """The device as the finite elements see it; meets the `Forward` protocol.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Names of the active effects, from the catalogue.
+    level : str
+        Mesh level: ``draft``, ``standard`` or ``fine``.
+    parameters : mapping of str to mapping of str to float, SI
+        Values of the effects' parameters; those not given are at their off value.
+    effects_dir : Path, optional
+        Folder with a user's own effects.
+    backend : str, optional
+        Linear solver, ``pardiso`` or ``superlu``; the fastest there is by default.
+
+    Raises
+    ------
+    EffectError
+        When an effect or one of its parameters is unknown.
+    InputError
+        When the level is unknown or a value is outside its range.
+    """
+
+    effects: tuple[str, ...] = ()
+    level: str = "standard"
+    parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    effects_dir: FilePath | None = None
+    backend: str | None = None
+
+    def __post_init__(self) -> None:
+        mesh_level(self.level)
+        known = catalogue(self.effects_dir) if self.effects or self.parameters else {}
+        for name in (*self.effects, *self.parameters):
+            if name not in known:
+                raise EffectError(
+                    f"effect: {name!r} is unknown; allowed: "
+                    f"{', '.join(catalogue(self.effects_dir))}"
+                )
+        for name in self.parameters:
+            if name not in self.effects:
+                raise InputError("parameters", name, "names of active effects")
+        active = sorted(
+            (known[name] for name in self.effects), key=lambda e: STAGES.index(e.stage)
+        )
+        values = {e.name: e.check(self.parameters.get(e.name, {})) for e in active}
+        object.__setattr__(self, "_active", tuple(active))
+        object.__setattr__(self, "_values", values)
+
+    @property
+    def active(self) -> tuple[Effect, ...]:
+        """Active effects in the order in which they act."""
+        active: tuple[Effect, ...] = self.__dict__["_active"]
+        return active
+
+    @property
+    def space(self) -> Space:
+        """Design variables, and ``effect.parameter`` of each active effect."""
+        more = tuple(
+            Parameter(
+                f"{e.name}_{p.name}",
+                p.unit,
+                p.lower,
+                p.upper,
+                p.scale,
+                p.off,
+                p.prior,
+                p.source,
+            )
+            for e in self.active
+            for p in e.parameters
+        )
+        return Space(DESIGN_SPACE.parameters + more)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return OUTPUT_NAMES
+
+    @cached_property
+    def _workspace(self) -> Workspace:
+        return Workspace(self.backend)
+
+    def problem(self, design: Design) -> Problem:
+        """The boundary-value problem of a design with the active effects in it."""
+        problem = baseline(design, mesh_level(self.level))
+        for one in self.active:
+            problem = one.apply(problem, self.__dict__["_values"][one.name])
+        return problem
+
+    def __call__(self, designs: Sequence[Design], paths: Sequence[Path]) -> Response:
+        """Solve each design along its own path.
+
+        Parameters
+        ----------
+        designs, paths : sequences of equal length n
+            Paths may have different numbers of load steps; NaN pads the result.
+
+        Returns
+        -------
+        Response
+            `info` holds ``unknowns`` (the largest) and ``seconds`` (in all).
+        """
+        if len(designs) != len(paths):
+            raise InputError("paths", len(paths), f"one path a design, {len(designs)}")
+        return stack(
+            [
+                solve(self.problem(design), path, self._workspace)
+                for design, path in zip(designs, paths, strict=True)
+            ]
+        )
+
+    def explore(self, design: Design, max_pressure: float = MAX_PRESSURE) -> Response:
+        """Every equilibrium on the way up: even load steps, the follower's between.
+
+        Parameters
+        ----------
+        design : Design
+        max_pressure : float, Pa
+            Gauge pressure at which the path ends unless it turns before.
+
+        Returns
+        -------
+        Response
+            Of one device; the last step is `max_pressure` or the limit point.
+        """
+        path = Path(np.linspace(0.0, max_pressure, EXPLORED_STEPS + 1)[1:])
+        return solve(self.problem(design), path, self._workspace, explore=True)
+
+    def deformed(self, design: Design, pressure: float) -> tuple[Problem, Array]:
+        """The problem and its (n, 3) deformed nodes, m, at one gauge pressure, Pa.
+
+        Raises
+        ------
+        InputError
+            When the path ends before that pressure.
+        """
+        problem = self.problem(design)
+        follower = PathFollower(problem, self._workspace)
+        outcome = follower.run(np.array([pressure]))
+        if outcome.status != "completed":
+            raise InputError(
+                "pressure_kPa", pressure / 1e3, f"less: {outcome.message}", "kPa"
+            )
+        return problem, follower.point.x
+
+
+def stack(responses: Sequence[Response]) -> Response:
+    """One response of several devices, NaN where a path has fewer steps."""
+    steps = max(r.pressure.shape[1] for r in responses)
+
+    def pad(array: Array, fill: object) -> Array:
+        widths = [(0, 0), (0, steps - array.shape[1])] + [(0, 0)] * (array.ndim - 2)
+        return np.pad(array, widths, constant_values=fill)  # type: ignore[call-overload]
+
+    return Response(
+        outputs=responses[0].outputs,
+        pressure=np.concatenate([pad(r.pressure, np.nan) for r in responses]),
+        values=np.concatenate([pad(r.values, np.nan) for r in responses]),
+        std=np.concatenate([pad(r.std, np.nan) for r in responses]),
+        status=np.concatenate([pad(r.status, "") for r in responses]),
+        path_status=tuple(s for r in responses for s in r.path_status),
+        limit_pressure=np.concatenate([r.limit_pressure for r in responses]),
+        message=tuple(m for r in responses for m in r.message),
+        info={
+            "unknowns": max(r.info.get("unknowns", 0) for r in responses),
+            "seconds": sum(r.info.get("seconds", 0.0) for r in responses),
+        },
+    )

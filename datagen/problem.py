@@ -1,0 +1,119 @@
+"""One boundary-value problem, frozen; its fields are what effects may change.
+
+Stages are applied in the order of `STAGES`, each to its own fields:
+
+==============  ==========================================================
+stage           fields
+==============  ==========================================================
+geometry        nodes
+material        laws, shear_modulus, bulk_modulus
+initial strain  growth
+body force      density, gravity
+boundary        fixed
+load            pressure_gain, pressure_offset
+observation     observers
+==============  ==========================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .device import POISSON, Design
+from .materials import Hyperelastic, Law
+from .mesh import UPPER, MeshLevel, StripMesh, build_mesh
+
+Array = np.ndarray
+
+STAGES = (
+    "geometry",
+    "material",
+    "initial strain",
+    "body force",
+    "boundary",
+    "load",
+    "observation",
+)
+"""The fixed order in which effects act, whatever the order they are named in."""
+
+Observer = Callable[[dict[str, float], Array, Array], dict[str, float]]
+"""(outputs by name, undeformed nodes, deformed nodes) to outputs, SI."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything the solver needs to know of one device.
+
+    Parameters
+    ----------
+    design : Design
+        What the problem was made from.
+    mesh : StripMesh
+        Topology and named parts; its own nodes are those of the baseline.
+    nodes : (n, 3) array, m
+        Stress-free node positions.
+    laws : (Law, Law)
+        Isochoric law of the lower and of the upper layer.
+    shear_modulus, bulk_modulus : (e,) array, Pa
+    growth : (e, 3, 3) array or None
+        Initial strain Fg of F = Fe Fg; None for the identity.
+    density : (e,) array, kg/m3
+    gravity : (3,) array, m/s2
+        Along x, y, z; y must stay 0 for the symmetry to hold.
+    fixed : (n, 3) array of bool
+        Displacements that are held at zero.
+    pressure_gain, pressure_offset : float, 1 and Pa
+        Cavity pressure = gain times gauge pressure + offset.
+    observers : tuple of Observer
+        What the instruments make of the outputs, applied in order.
+    """
+
+    design: Design
+    mesh: StripMesh
+    nodes: Array
+    laws: tuple[Law, Law]
+    shear_modulus: Array
+    bulk_modulus: Array
+    growth: Array | None
+    density: Array
+    gravity: Array
+    fixed: Array
+    pressure_gain: float = 1.0
+    pressure_offset: float = 0.0
+    observers: tuple[Observer, ...] = ()
+
+    @property
+    def loaded_at_rest(self) -> bool:
+        """True when something acts on the strip at zero gauge pressure."""
+        weighs = bool((self.density != 0).any() and (self.gravity != 0).any())
+        return weighs or self.growth is not None or self.pressure_offset != 0
+
+
+def lame(modulus: Array, poisson: float = POISSON) -> tuple[Array, Array]:
+    """Shear and bulk modulus: E / (2 (1 + nu)) and E / (3 (1 - 2 nu)), Pa."""
+    return modulus / (2 * (1 + poisson)), modulus / (3 * (1 - 2 * poisson))
+
+
+def baseline(design: Design, level: MeshLevel) -> Problem:
+    """The contract's model of a design: no effect but the pressure acts."""
+    mesh = build_mesh(design, level)
+    modulus = np.where(mesh.layer == UPPER, design.upper_modulus, design.lower_modulus)
+    shear, bulk = lame(modulus)
+    fixed = np.zeros(mesh.nodes.shape, dtype=bool)
+    fixed[mesh.root] = True
+    fixed[mesh.mid_plane, 1] = True
+    return Problem(
+        design=design,
+        mesh=mesh,
+        nodes=mesh.nodes,
+        laws=(Hyperelastic(), Hyperelastic()),
+        shear_modulus=shear,
+        bulk_modulus=bulk,
+        growth=None,
+        density=np.zeros(len(mesh.cells)),
+        gravity=np.zeros(3),
+        fixed=fixed,
+    )

@@ -1,0 +1,269 @@
+"""The answer to "what does this device do at these pressures", and who gives it.
+
+The surrogate answers inside its trained range, the finite elements everywhere else.
+Command line, HTTP interface and jobs give the same `Answer`, in bench units.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any, Protocol
+
+import numpy as np
+
+from datagen.device import Design
+from datagen.response import Forward, Path, Response
+from datagen.units import BY_FIELD, PRESSURE
+
+from .bench import design_columns, rounded
+
+COVERAGE = 0.9
+"""Share of finite-element results that the interval of an answer is built to hold."""
+
+
+class RangeCheck(Protocol):
+    """Whether a request is inside the trained range, and why not."""
+
+    @property
+    def in_range(self) -> bool: ...
+
+    @property
+    def reasons(self) -> tuple[str, ...]: ...
+
+    @property
+    def notes(self) -> tuple[str, ...]: ...
+
+
+class Prediction(Protocol):
+    """Central values and the ends of their intervals, (n, s, m) arrays, SI."""
+
+    @property
+    def response(self) -> Response: ...
+
+    @property
+    def low(self) -> np.ndarray: ...
+
+    @property
+    def high(self) -> np.ndarray: ...
+
+
+class Predictor(Protocol):
+    """What the service needs of a surrogate; `surrogate.ensemble.Ensemble` is one."""
+
+    @property
+    def version(self) -> str: ...
+
+    @property
+    def description(self) -> Mapping[str, Any]: ...
+
+    def predict(
+        self, designs: Sequence[Design], paths: Sequence[Path], coverage: float = ...
+    ) -> Prediction: ...
+
+    def check(self, design: Design, pressure: np.ndarray) -> RangeCheck: ...
+
+
+def load_model(folder: FilePath | None) -> Predictor:
+    """The ensemble in a folder, or the reference model that the package ships.
+
+    Raises
+    ------
+    FileError
+        When the folder or one of its files is missing or corrupt.
+    """
+    from surrogate.ensemble import Ensemble, reference_model
+
+    return reference_model() if folder is None else Ensemble.load(folder)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One design along one path, with intervals and where they come from.
+
+    Parameters
+    ----------
+    design : Design
+    pressure : (s,) array, Pa
+    outputs : tuple of m str
+        SI names of the quantities.
+    value, low, high : (s, m) array, SI
+        NaN where the path ended before the load step.
+    source : str
+        ``surrogate`` or ``fem``.
+    in_range : bool
+        Whether the surrogate was trained for this design and these pressures.
+    reasons : tuple of str
+        Why not; empty inside the range.
+    notes : tuple of str
+        What else is worth knowing, as where the members of the ensemble disagree.
+    model_version : str
+    status, message : str
+        How the path ended, and where and why it stopped before its last load step.
+    limit_pressure : float, Pa
+        NaN where it was not met.
+    info : mapping
+        What the finite elements add: ``unknowns``, ``seconds``.
+    """
+
+    design: Design
+    pressure: np.ndarray
+    outputs: tuple[str, ...]
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    source: str
+    in_range: bool
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    model_version: str
+    status: str = "completed"
+    message: str = ""
+    limit_pressure: float = math.nan
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+    def _columns(self) -> dict[str, tuple[list[float | None], ...]]:
+        """Value, low and high by bench name, in bench units."""
+        return {
+            BY_FIELD[name].name: tuple(
+                numbers(array[:, i] / BY_FIELD[name].factor)
+                for array in (self.value, self.low, self.high)
+            )
+            for i, name in enumerate(self.outputs)
+        }
+
+    def _end(self) -> dict[str, Any]:
+        """How the path ended, and what it took."""
+        limit = self.limit_pressure / PRESSURE.factor
+        return {
+            "status": self.status,
+            "message": self.message,
+            "limit_pressure_kPa": limit if math.isfinite(limit) else None,
+            "unknowns": self.info.get("unknowns"),
+            "seconds": self.info.get("seconds"),
+            "model_version": self.model_version,
+            "design": design_columns(self.design),
+        }
+
+    def _origin(self) -> dict[str, Any]:
+        """Who answers, and why not the surrogate."""
+        return {
+            "source": self.source,
+            "in_range": self.in_range,
+            "reasons": list(self.reasons),
+            "notes": list(self.notes),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """The body of ``/v1/predict``: each quantity as value, low and high lists."""
+        quantities = {
+            name: dict(zip(("value", "low", "high"), columns, strict=True))
+            for name, columns in self._columns().items()
+        }
+        pressure = {"pressure_kPa": _kilopascal(self.pressure)}
+        return pressure | quantities | self._origin() | self._end()
+
+    def to_columns(self) -> dict[str, Any]:
+        """The JSON of ``pba predict``: flat lists, ``_low`` and ``_high`` beside."""
+        return self._lists(interval=True) | self._origin() | self._end()
+
+    def to_solution(self) -> dict[str, Any]:
+        """The JSON of ``pba solve``, where nobody asked the surrogate."""
+        return self._lists(interval=False) | self._end()
+
+    def _lists(self, interval: bool) -> dict[str, Any]:
+        lists: dict[str, Any] = {"pressure_kPa": _kilopascal(self.pressure)}
+        for name, (value, low, high) in self._columns().items():
+            lists[name] = value
+            if interval:
+                lists |= {f"{name}_low": low, f"{name}_high": high}
+        return lists
+
+
+def _kilopascal(pressure: np.ndarray) -> list[float]:
+    return [rounded(p) for p in pressure / PRESSURE.factor]
+
+
+def numbers(values: np.ndarray) -> list[float | None]:
+    """A list for JSON, which has no NaN: None stands for a step not reached."""
+    return [float(v) if math.isfinite(v) else None for v in values]
+
+
+def surrogate_answer(
+    model: Predictor, design: Design, pressure: np.ndarray, check: RangeCheck
+) -> Answer:
+    """What the surrogate predicts, with its calibrated interval.
+
+    Parameters
+    ----------
+    model : Predictor
+    design : Design
+    pressure : (s,) array, Pa
+    check : RangeCheck
+        What `model` says of this request.
+    """
+    prediction = model.predict([design], [Path(pressure)], coverage=COVERAGE)
+    response = prediction.response
+    return Answer(
+        design,
+        pressure,
+        response.outputs,
+        response.values[0],
+        prediction.low[0],
+        prediction.high[0],
+        "surrogate",
+        check.in_range,
+        tuple(check.reasons),
+        tuple(check.notes),
+        model.version,
+        response.path_status[0],
+        response.message[0],
+        float(response.limit_pressure[0]),
+    )
+
+
+def fem_answer(
+    model: Forward,
+    version: str,
+    design: Design,
+    pressure: np.ndarray,
+    in_range: bool = True,
+    reasons: Sequence[str] = (),
+) -> Answer:
+    """What the finite elements compute; the interval has no width.
+
+    Parameters
+    ----------
+    model : Forward
+        The finite-element model.
+    version : str
+        What made the numbers.
+    design : Design
+    pressure : (s,) array, Pa
+    in_range, reasons
+        What the surrogate said of this request.
+    """
+    start = time.perf_counter()
+    response = model([design], [Path(pressure)])
+    value = response.values[0]
+    info = {"seconds": time.perf_counter() - start} | response.info
+    return Answer(
+        design,
+        pressure,
+        response.outputs,
+        value,
+        value,
+        value,
+        "fem",
+        in_range,
+        tuple(reasons),
+        (),
+        version,
+        response.path_status[0],
+        response.message[0],
+        float(response.limit_pressure[0]),
+        info,
+    )

@@ -1,0 +1,310 @@
+"""The service: predictions over HTTP, long work as jobs, and the web page.
+
+`create_app` puts the parts together: routes, the job store, the page, and the one table
+that turns the project's errors into HTTP.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from datagen.errors import EffectError, FileError, InputError, PbaError
+from datagen.units import DESIGN, PRESSURE
+
+from .answer import Predictor, load_model
+from .bench import MISSING, Words, allowed, count_words, pressure_words
+from .jobs import JobNotFound, JobStore, Kind, TooManyJobs, describe
+from .routes import Service, router
+from .tasks import fem_version
+from .workers import WorkerDied
+
+MAX_BODY = 8 * 2**20
+"""Bytes that the body of a request may have."""
+
+HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
+    (InputError, 422),
+    (EffectError, 422),
+    (JobNotFound, 404),
+    (TooManyJobs, 503),
+    (WorkerDied, 500),
+    (FileError, 500),
+    (PbaError, 500),
+)
+"""The table from errors to HTTP; the first that fits counts."""
+
+KINDS: Mapping[str, Kind] = {
+    "predict": Kind("service.tasks:predict", max(1, (os.cpu_count() or 2) // 2)),
+    "dataset": Kind("service.tasks:dataset"),
+}
+"""Kinds of jobs.  Each has its own workers: a dataset of hours blocks no prediction."""
+
+FURTHER_WORDS = {"case": "1, 2, 3 or 4"}
+"""What is allowed, in better words than pydantic's."""
+
+PAGE = Path(__file__).parent / "page"
+
+CONTENT_SECURITY = (
+    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+"""The page runs its own scripts alone and talks to its own server alone; Plotly writes
+its styles into the page and needs the one exception."""
+
+
+def default_state() -> Path:
+    """Where jobs are kept: ``PBA_STATE``, or ``~/.local/state/pba``."""
+    given = os.environ.get("PBA_STATE")
+    return Path(given) if given else Path.home() / ".local" / "state" / "pba"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How one server runs.
+
+    Parameters
+    ----------
+    state : Path
+        Folder of the jobs and their files.
+    model : Path, optional
+        Folder of the ensemble; the shipped reference model where not given.
+    database_url : str, optional
+        PostgreSQL for the jobs, in place of SQLite in the state folder.
+    wait : float, s
+        How long a request waits for the finite elements before it answers 202.
+    kinds : mapping of str to Kind
+    fem_version : callable
+        From mesh level to what makes the numbers of the finite elements.
+    """
+
+    state: Path = field(default_factory=default_state)
+    model: Path | None = None
+    database_url: str | None = None
+    wait: float = 20.0
+    kinds: Mapping[str, Kind] = field(default_factory=lambda: KINDS)
+    fem_version: Callable[[str], str] = fem_version
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.wait <= 3600:
+            raise InputError("--wait", self.wait, "a number from 0 to 3600 s", "s")
+
+    def open_store(self) -> JobStore:
+        """The job store of this server.
+
+        Raises
+        ------
+        InputError
+            When another server uses the state folder.
+        FileError
+            When the state folder or the database cannot be used.
+        """
+        return JobStore(self.state, self.kinds, self.database_url)
+
+
+def create_app(
+    settings: Settings | None = None,
+    load_model: Callable[[Path | None], Predictor] = load_model,
+    store: JobStore | None = None,
+) -> FastAPI:
+    """The application, to be run by any ASGI server in a single process.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+    load_model : callable
+        From the folder of a model, or None for the reference model, to the model.
+    store : JobStore, optional
+        Opened already; by default the one of `settings` is opened at startup.  It is
+        closed at shutdown in either case.
+
+    Raises
+    ------
+    FileError
+        When the model is missing or corrupt.
+    """
+    chosen = Settings() if settings is None else settings
+    model = load_model(chosen.model)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        jobs = chosen.open_store() if store is None else store
+        app.state.service = Service(
+            model,
+            "reference" if chosen.model is None else chosen.model.name,
+            jobs,
+            chosen.state,
+            chosen.wait,
+            chosen.fem_version,
+        )
+        try:
+            yield
+        finally:
+            jobs.close()
+
+    app = FastAPI(
+        title="pba",
+        summary="What a pneumatic balloon actuator does at a pressure",
+        description=(
+            "Lengths, pressures and moduli are in bench units, which are part of the "
+            "name: `upper_thickness_um`. Errors have one shape, `ErrorOut`."
+        ),
+        version=version(),
+        lifespan=lifespan,
+        docs_url=None,  # both would fetch their scripts from elsewhere;
+        redoc_url=None,  # the schema itself is at /openapi.json
+    )
+    app.include_router(router)
+    _add_error_handlers(app)
+    _add_page(app)
+    app.add_middleware(BodyLimit)
+    return app
+
+
+def version() -> str:
+    """Version of the installed package."""
+    try:
+        return metadata.version("pba")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        return "0+source"
+
+
+def status_of(error: PbaError) -> int:
+    """HTTP status of an error of the project."""
+    return next(status for kind, status in HTTP_STATUS if isinstance(error, kind))
+
+
+def _add_error_handlers(app: FastAPI) -> None:
+    def answer(status: int, **error: Any) -> JSONResponse:
+        headers = {"Retry-After": "5"} if status == 503 else None
+        return JSONResponse({"error": error}, status, headers)
+
+    @app.exception_handler(PbaError)
+    async def of_the_project(_request: Request, error: PbaError) -> JSONResponse:
+        return answer(status_of(error), **describe(error))
+
+    @app.exception_handler(RequestValidationError)
+    async def of_the_body(
+        _request: Request, error: RequestValidationError
+    ) -> JSONResponse:
+        first = error.errors()[0]
+        if first["type"] == "json_invalid":
+            reason = first.get("ctx", {}).get("error", "")
+            message = f"the body is not JSON: {reason} at character {first['loc'][-1]}"
+            return answer(400, type="json", message=message)
+        return answer(422, **describe(input_error(first)))
+
+    @app.exception_handler(HTTPException)
+    async def of_the_protocol(_request: Request, error: HTTPException) -> JSONResponse:
+        words = {404: "not_found", 405: "method", 413: "too_large"}
+        response = answer(
+            error.status_code,
+            type=words.get(error.status_code, "request"),
+            message=str(error.detail),
+        )
+        response.headers.update(error.headers or {})
+        return response
+
+    @app.exception_handler(Exception)
+    async def of_nobody(_request: Request, _error: Exception) -> JSONResponse:
+        # The traceback goes to the server's log, not to the client.
+        return answer(
+            500, type="internal", message="internal error; see the server log"
+        )
+
+
+def input_error(problem: Mapping[str, Any]) -> InputError:
+    """One finding of pydantic in the words of the project.
+
+    Parameters
+    ----------
+    problem : mapping
+        An item of ``ValidationError.errors()``, its ``loc`` starting in ``body``.
+    """
+    location = [part for part in problem["loc"] if part not in ("body", "query")]
+    value = _shown(problem.get("input"))
+    if not location:
+        return InputError(
+            "body", value, "a JSON object, sent with Content-Type: application/json"
+        )
+    name, field = str(location[-1]), _name(location)
+    if problem["type"] == "unknown_field":
+        return InputError(field, problem["ctx"]["name"], problem["ctx"]["allowed"])
+    if problem["type"] == "missing":
+        return InputError(field, MISSING, "a value; this field is needed")
+    if name in DESIGN:
+        return InputError(name, value, allowed(DESIGN[name]), DESIGN[name].unit)
+    if name == PRESSURE.name:
+        return InputError(field, value, count_words())
+    if PRESSURE.name in location:
+        return InputError(field, value, pressure_words(), PRESSURE.unit)
+    words = str(problem["msg"]).removeprefix("Input should be ")
+    return InputError(field, value, FURTHER_WORDS.get(name, words))
+
+
+def _shown(value: object) -> object:
+    """A value for an error: short, whatever was sent."""
+    if isinstance(value, (dict, list)):
+        return Words(f"a {'list' if isinstance(value, list) else 'object'}")
+    if isinstance(value, (str, bytes)) and len(value) > 60:
+        return Words(f"{value[:60]!r}...")
+    return value
+
+
+def _name(location: Sequence[object]) -> str:
+    """``("pressure_kPa", 3)`` as ``pressure_kPa[3]``, ``("design", "a")`` as ``a``."""
+    names = [str(part) for part in location if isinstance(part, str)]
+    index = f"[{location[-1]}]" if isinstance(location[-1], int) else ""
+    return (names[-1] if names else "body") + index
+
+
+def _add_page(app: FastAPI) -> None:
+    plotly = Path(str(resources.files("plotly"))) / "package_data" / "plotly.min.js"
+
+    @app.get("/", include_in_schema=False)
+    async def page() -> FileResponse:
+        headers = {
+            "Content-Security-Policy": CONTENT_SECURITY,
+            "Cache-Control": "no-cache",
+        }
+        return FileResponse(PAGE / "index.html", headers=headers)
+
+    @app.get("/static/plotly.min.js", include_in_schema=False)
+    async def plotly_script() -> FileResponse:
+        headers = {"Cache-Control": "public, max-age=86400"}
+        return FileResponse(plotly, headers=headers, media_type="text/javascript")
+
+    app.mount("/static", StaticFiles(directory=PAGE), name="static")
+
+
+class BodyLimit:
+    """Middleware that stops reading a body past `MAX_BODY` bytes with a 413."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        seen = 0
+
+        async def limited() -> Message:
+            nonlocal seen
+            message = await receive()
+            seen += len(message.get("body", b""))
+            if seen > MAX_BODY:
+                raise HTTPException(413, f"the body is longer than {MAX_BODY} bytes")
+            return message
+
+        return await self.app(scope, limited, send)

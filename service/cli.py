@@ -1,0 +1,488 @@
+"""The command line ``pba``: every action of the project, for people and for scripts.
+
+``--json`` prints one JSON object and nothing else on standard output.  Exit status 0
+done, 2 bad input, 1 anything else, 130 interrupted; what went wrong is one line on
+standard error.  Heavy packages are imported by the commands that need them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
+
+from .options import (
+    DEFAULT_PRESSURES,
+    MANY_DESIGNS,
+    AsJson,
+    Case,
+    Device,
+    EffectsDir,
+    Level,
+    Pressures,
+    Settings,
+    number,
+    whole,
+)
+
+if TYPE_CHECKING:
+    from datagen.device import Design
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as in a shell."""
+
+BAD_INPUT = (InputError, FileError, EffectError)
+
+
+class _Stopped(PbaError):
+    """Ctrl-C with something to say; typer keeps the words of no KeyboardInterrupt."""
+
+
+app = typer.Typer(
+    name="pba",
+    help="What does this pneumatic balloon actuator do?",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+)
+effects_app = typer.Typer(help="The catalogue of effects.", no_args_is_help=True)
+app.add_typer(effects_app, name="effects")
+
+
+@app.command()
+def solve(
+    device: Device = "S1",
+    case: Case = 1,
+    settings: Settings = [],  # noqa: B006  (typer reads it, nobody changes it)
+    effect: Annotated[
+        list[str],
+        Option(
+            metavar="NAME:PARAM=VALUE,...",
+            help="Switch an effect on, parameters in its units. Repeatable.",
+        ),
+    ] = [],  # noqa: B006
+    effects_dir: EffectsDir = None,
+    pressures: Pressures = DEFAULT_PRESSURES,
+    level: Level = "standard",
+    as_json: AsJson = False,
+) -> None:
+    """One path by finite elements."""
+    from .bench import parse_effects, parse_pressures, pressures_from_bench
+
+    design = _design(device, case, settings)
+    pressure = pressures_from_bench(parse_pressures(pressures))
+    parameters = parse_effects(effect)
+    from datagen.model import Model
+
+    from .answer import fem_answer
+    from .tasks import fem_version
+
+    model = Model(tuple(parameters), level, parameters, effects_dir)
+    with _waiting("finite elements", as_json):
+        answer = fem_answer(model, fem_version(level), design, pressure)
+    lists = answer.to_solution() | {"level": level, "effects": parameters}
+    if not as_json:
+        _show_path(lists)
+    else:
+        _print_json(lists)
+
+
+@app.command()
+def predict(
+    model: Annotated[
+        Path | None,
+        Option(
+            metavar="MODEL", help="Folder of a trained model; else the shipped one."
+        ),
+    ] = None,
+    device: Device = "S1",
+    case: Case = 1,
+    settings: Settings = [],  # noqa: B006
+    pressures: Pressures = DEFAULT_PRESSURES,
+    level: Level = "standard",
+    as_json: AsJson = False,
+) -> None:
+    """The surrogate's answer with its interval; finite elements where out of range."""
+    from .answer import fem_answer, load_model, surrogate_answer
+    from .bench import parse_pressures, pressures_from_bench
+
+    design = _design(device, case, settings)
+    pressure = pressures_from_bench(parse_pressures(pressures))
+    surrogate = load_model(model)
+    check = surrogate.check(design, pressure)
+    if check.in_range:
+        answer = surrogate_answer(surrogate, design, pressure, check)
+    else:
+        from datagen.model import Model
+
+        from .tasks import fem_version
+
+        fem = Model(level=level)
+        with _waiting("out of range: finite elements", as_json):
+            answer = fem_answer(
+                fem, fem_version(level), design, pressure, False, check.reasons
+            )
+    if as_json:
+        _print_json(answer.to_columns())
+        return
+    _show_path(answer.to_columns())
+    who = f"Surrogate {answer.model_version}, 90 % interval."
+    print(who if answer.source == "surrogate" else "Finite elements, because:")
+    for line in (*answer.reasons, *answer.notes):
+        print(f"  {line}")
+
+
+@app.command()
+def generate(
+    designs: Annotated[
+        int,
+        Option(
+            help="How many designs.",
+            parser=whole("--designs", 1, MANY_DESIGNS),
+            metavar="N",
+        ),
+    ],
+    seed: Annotated[
+        int,
+        Option(
+            help="The same seed gives the same designs.",
+            parser=whole("--seed", 0, 2**63 - 1),
+            metavar="S",
+        ),
+    ],
+    out: Annotated[Path, Option(metavar="FILE", help="The HDF5 file to write.")],
+    effects: Annotated[
+        str, Option(metavar="A,B", help="Effects whose parameters are sampled too.")
+    ] = "",
+    workers: Annotated[
+        int,
+        Option(
+            help="Processes that solve at a time.",
+            parser=whole("--workers", 1, 4096),
+            metavar="K",
+        ),
+    ] = 1,
+    scheduler: Annotated[
+        str | None, Option(metavar="ADDRESS", help="Of Dask, in place of processes.")
+    ] = None,
+    resume: Annotated[
+        bool, Option("--resume", help="Go on with an interrupted run.")
+    ] = False,
+    level: Level = "standard",
+    max_pressure: Annotated[
+        float,
+        Option(
+            help="Where each path ends, in kPa.",
+            parser=number("--max-pressure", 1e-3, 10_000, "kPa"),
+            metavar="KPA",
+        ),
+    ] = 150.0,
+    as_json: AsJson = False,
+) -> None:
+    """A dataset of paths by finite elements, over a Latin hypercube of designs."""
+    from datagen.generate import Progress
+    from datagen.generate import generate as run
+    from datagen.units import PRESSURE
+
+    from .terminal import duration, progress_bar
+
+    start = time.perf_counter()
+    with progress_bar("paths", quiet=as_json) as bar:
+        shown = bar.add_task("generate", total=designs, note="")
+
+        def update(now: Progress) -> None:
+            note = f"{60 * now.rate:.1f}/min, {duration(now.seconds_left)} left"
+            failed = f", {now.failed} stopped early" if now.failed else ""
+            bar.update(shown, completed=now.done, total=now.total, note=note + failed)
+
+        try:
+            data = run(
+                designs,
+                seed,
+                out,
+                effects=[name.strip() for name in effects.split(",") if name.strip()],
+                level=level,
+                workers=workers,
+                scheduler=scheduler,
+                resume=resume,
+                max_pressure=PRESSURE.to_si(max_pressure),
+                progress=update,
+            )
+        except Interrupted as stop:
+            raise _Stopped(str(stop)) from stop
+    seconds = time.perf_counter() - start
+    ends = {end: data.path_status.count(end) for end in sorted(set(data.path_status))}
+    report = {
+        "file": str(out),
+        "designs": len(data),
+        "path_status": ends,
+        "seconds": seconds,
+        "digest": data.digest(),
+        "generator_version": data.generator_version,
+    }
+    if as_json:
+        _print_json(report)
+        return
+    words = ", ".join(f"{count} {end}" for end, count in ends.items())
+    print(f"{out}: {len(data)} paths ({words}) in {duration(seconds)}.")
+
+
+@app.command()
+def train(
+    dataset: Annotated[Path, Argument(metavar="DATASET", help="HDF5 file of paths.")],
+    out: Annotated[Path, Option(metavar="MODEL", help="Folder to write.")],
+    seed: Annotated[
+        int,
+        Option(
+            help="The same seed gives the same model.",
+            parser=whole("--seed", 0, 2**32 - 1),
+            metavar="S",
+        ),
+    ] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """An ensemble of networks, trained on a dataset."""
+    from datagen.dataset import Dataset
+    from surrogate.train import train as run
+
+    from .terminal import accuracy_tables, duration, progress_bar
+
+    data = Dataset.read(dataset)
+    start = time.perf_counter()
+    with progress_bar("steps", quiet=as_json) as bar:
+        shown = bar.add_task("train", note="")
+
+        def update(stage: str, step: int, steps: int, loss: float) -> None:
+            note = f"held-out loss {loss:.3g}"
+            bar.update(shown, description=stage, completed=step, total=steps, note=note)
+
+        ensemble = run(data, seed, progress=update)
+    ensemble.save(out)
+    seconds = time.perf_counter() - start
+    errors = ensemble.description.get("accuracy")
+    report = {
+        "model": str(out),
+        "version": ensemble.version,
+        "seconds": seconds,
+        "accuracy": errors,
+    }
+    if as_json:
+        _print_json(report)
+        return
+    if errors:
+        _print_rich(next(accuracy_tables(errors)))
+    print(f"{out}: model {ensemble.version}, {duration(seconds)}.")
+
+
+@app.command()
+def accuracy(
+    model: Annotated[
+        Path, Argument(metavar="MODEL", help="Folder of a trained model.")
+    ],
+    dataset: Annotated[Path, Argument(metavar="DATASET", help="HDF5 file of paths.")],
+    as_json: AsJson = False,
+) -> None:
+    """Errors and coverage on designs that were held out from training."""
+    from datagen.dataset import Dataset
+    from surrogate.accuracy import accuracy as measure
+    from surrogate.ensemble import Ensemble
+
+    from .terminal import accuracy_tables
+
+    found = measure(Ensemble.load(model), Dataset.read(dataset)).to_json()
+    if as_json:
+        _print_json(found)
+        return
+    for table in accuracy_tables(found):
+        _print_rich(table)
+
+
+@effects_app.command("list")
+def effects_list(effects_dir: EffectsDir = None, as_json: AsJson = False) -> None:
+    """Every effect, with its stage and parameters."""
+    from datagen.effects import catalogue
+
+    rows = [_effect(effect) for effect in catalogue(effects_dir).values()]
+    if as_json:
+        _print_json({"effects": rows})
+        return
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for head in ("effect", "stage", "parameters"):
+        table.add_column(head)
+    for row in rows:
+        names = (f"{p['name']} ({p['unit']})" for p in row["parameters"])
+        table.add_row(row["name"], row["stage"], ", ".join(names))
+    _print_rich(table)
+
+
+@effects_app.command("show")
+def effects_show(
+    name: Annotated[str, Argument(metavar="NAME")],
+    effects_dir: EffectsDir = None,
+    as_json: AsJson = False,
+) -> None:
+    """One effect: its equation, parameters, ranges and sources."""
+    from datagen.effects import catalogue
+
+    known = catalogue(effects_dir)
+    if name not in known:
+        raise InputError("effect", name, ", ".join(known))
+    row = _effect(known[name])
+    if as_json:
+        _print_json(row)
+        return
+    print(f"{row['name']} (stage: {row['stage']})\n\n{row['doc'].strip()}\n")
+    for p in row["parameters"]:
+        print(
+            f"{p['name']}: {p['lower']:g} to {p['upper']:g} {p['unit']}, "
+            f"off at {p['off']:g}, prior {p['prior']}; {p['source']}"
+        )
+
+
+@app.command()
+def serve(
+    port: Annotated[
+        int,
+        Option(
+            help="Port to listen on; 0 takes any free one.",
+            parser=whole("--port", 0, 65535),
+            metavar="PORT",
+        ),
+    ] = 8000,
+    host: Annotated[str, Option(help="Address to listen on.")] = "127.0.0.1",
+    model: Annotated[
+        Path | None, Option(metavar="MODEL", help="Folder of a trained model.")
+    ] = None,
+    state: Annotated[
+        Path | None, Option(metavar="DIR", help="Folder of the jobs; else PBA_STATE.")
+    ] = None,
+    database_url: Annotated[
+        str | None, Option(metavar="URL", help="PostgreSQL for the jobs, not SQLite.")
+    ] = None,
+    wait: Annotated[
+        float,
+        Option(
+            help="Seconds a request waits for the finite elements before it is a job.",
+            parser=number("--wait", 0, 3600, "s"),
+            metavar="S",
+        ),
+    ] = 20.0,
+) -> None:
+    """Serve predictions over HTTP, and the web page."""
+    from .app import Settings as ServerSettings
+    from .app import default_state
+    from .serve import run
+
+    run(ServerSettings(state or default_state(), model, database_url, wait), host, port)
+
+
+def _design(device: str, case: int, settings: Sequence[str]) -> Design:
+    from .bench import design_from_bench, parse_settings
+
+    return design_from_bench(parse_settings(settings), device, case)
+
+
+def _effect(effect: Any) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "name": effect.name,
+        "stage": effect.stage,
+        "doc": effect.doc,
+        "parameters": [asdict(parameter) for parameter in effect.parameters],
+    }
+
+
+def _waiting(words: str, quiet: bool) -> Any:
+    """A spinner on standard error while something computes."""
+    from rich.console import Console
+
+    return Console(stderr=True, quiet=quiet).status(words)
+
+
+def _show_path(lists: Mapping[str, Any]) -> None:
+    from .terminal import path_table, verdict
+
+    _print_rich(path_table(lists))
+    print(verdict(lists))
+
+
+def _print_rich(table: Any) -> None:
+    from rich.console import Console
+
+    Console().print(table)
+
+
+def _print_json(data: Mapping[str, Any]) -> None:
+    from .bench import plain
+
+    print(json.dumps(plain(data), allow_nan=False), flush=True)
+
+
+def _complain(message: str) -> None:
+    """One line on standard error."""
+    print(f"pba: {' '.join(message.split())}", file=sys.stderr)
+
+
+def _unforeseen(
+    kind: type[BaseException], error: BaseException, _trace: TracebackType | None
+) -> None:
+    """What an error of nobody's making looks like: one line, unless asked for more."""
+    words = f"{kind.__name__}: {error}"
+    _complain(f"internal error, {words} (PBA_DEBUG=1 shows where)")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the name of the program; those of the process where not given.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
+    if arguments is None and not os.environ.get("PBA_DEBUG"):
+        sys.excepthook = _unforeseen
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    command = typer.main.get_command(app)
+    try:
+        status = command.main(given, prog_name="pba", standalone_mode=False)
+    except _Stopped as stop:
+        _complain(str(stop))
+        return INTERRUPTED
+    except typer.Abort:  # a question was not answered
+        _complain("aborted")
+        return 1
+    except typer.TyperException as error:  # a wrong option, a missing argument
+        if message := error.format_message():  # none where the help was shown
+            _complain(message)
+        return error.exit_code
+    except BAD_INPUT as error:
+        _complain(str(error))
+        return 2
+    except PbaError as error:
+        _complain(str(error))
+        return 1
+    if status == INTERRUPTED:
+        _complain("interrupted")
+    return status if isinstance(status, int) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

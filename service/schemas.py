@@ -1,0 +1,304 @@
+"""Bodies of the HTTP interface, in bench units, with their bounds.
+
+Bounds and units come from the tables of `datagen`, so that the published schema cannot
+drift from what is accepted.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from datagen.device import CASES, LIMITS, Design
+from datagen.errors import InputError
+from datagen.response import OUTPUTS
+from datagen.units import BY_FIELD, QUANTITY
+
+from .bench import (
+    DEFAULTS,
+    MAX_STEPS,
+    PRESSURE_RANGE,
+    Words,
+    bounds,
+    check_case,
+    design_from_bench,
+)
+
+MAX_WAIT = 600.0
+"""s.  Longest time that a request may ask to wait for the finite elements."""
+
+MAX_DESIGNS = 100_000
+"""Designs that one dataset job may ask for."""
+
+
+class Strict(BaseModel):
+    """A body in which a misspelt field is an error, not a silent default."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_names(cls, body: Any) -> Any:
+        """Refuse an unknown name with the list of known ones."""
+        if isinstance(body, dict):
+            for name in body:
+                if name not in cls.model_fields:
+                    raise PydanticCustomError(
+                        "unknown_field",
+                        "unknown name {name}",
+                        {"name": name, "allowed": ", ".join(cls.model_fields)},
+                    )
+        return body
+
+
+def _whole(value: object) -> object:
+    """2.0 is the whole number 2; JSON of some languages has no other."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def _absent() -> Any:
+    """Of a field that may be left out; unlike null it has no place in the schema."""
+    return None
+
+
+def _column(field: str, words: str) -> Any:
+    """A design column with its bounds; which ones are needed depends on `device`."""
+    column = BY_FIELD[field]
+    lower, upper = bounds(column)
+    default = DEFAULTS.get(column.name)
+    said = f", {default:g} where left out" if default is not None else ""
+    return Field(
+        default_factory=_absent,
+        ge=lower,
+        le=upper,
+        strict=True,
+        description=f"{words} ({column.unit or 'whole number'}{said})",
+        title=words,
+        json_schema_extra={"unit": column.unit or "1"},
+    )
+
+
+Whole = Annotated[int, BeforeValidator(_whole)]
+
+
+class DesignIn(Strict):
+    """A device: a named one with changes, or every column of its own."""
+
+    device: str = Field(
+        default_factory=_absent,
+        max_length=40,
+        description="S1 or D8-MxN; the columns given replace those of this device",
+        json_schema_extra={"pattern": r"^(S1|D8-[1-9][0-9]*x[1-9][0-9]*)$"},
+    )
+    case: Whole = Field(
+        default_factory=_absent,
+        ge=min(CASES),
+        le=max(CASES),
+        strict=True,
+        description="material case of the named device, 1 where left out",
+    )
+    length_mm: float = _column("length", "strip length")
+    width_mm: float = _column("width", "strip width")
+    balloon_length_mm: float = _column("balloon_length", "balloon length in total")
+    balloon_width_mm: float = _column("balloon_width", "balloon width in total")
+    balloon_start_mm: float = _column("balloon_start", "clamp to first balloon")
+    wall_mm: float = _column("wall", "wall between balloons")
+    divisions_x: Whole = _column("divisions_x", "balloons along")
+    divisions_y: Whole = _column("divisions_y", "balloons across")
+    cavity_height_um: float = _column("cavity_height", "cavity height")
+    upper_thickness_um: float = _column("upper_thickness", "upper layer thickness")
+    lower_thickness_um: float = _column("lower_thickness", "lower layer thickness")
+    upper_modulus_MPa: float = _column("upper_modulus", "upper layer modulus")
+    lower_modulus_MPa: float = _column("lower_modulus", "lower layer modulus")
+
+    def design(self) -> Design:
+        """The device that is meant.
+
+        Raises
+        ------
+        InputError
+            When a column is missing, or the balloons do not fit the strip.
+        """
+        values = self.model_dump(exclude_unset=True)
+        device = values.pop("device", None)
+        case = check_case(values.pop("case", 1))
+        return design_from_bench(values, device, case)
+
+
+DESIGN_COLUMNS = tuple(
+    name for name in DesignIn.model_fields if name not in ("device", "case")
+)
+
+Pressures = Annotated[
+    list[
+        Annotated[float, Field(ge=PRESSURE_RANGE[0], le=PRESSURE_RANGE[1], strict=True)]
+    ],
+    Field(
+        min_length=1,
+        max_length=MAX_STEPS,
+        description="gauge pressure at each load step (kPa)",
+        json_schema_extra={"unit": "kPa"},
+    ),
+]
+
+Level = Literal["draft", "standard", "fine"]
+
+
+class CheckIn(Strict):
+    """A design and its load steps."""
+
+    design: DesignIn
+    pressure_kPa: Pressures
+
+
+class PredictIn(CheckIn):
+    """A design, its load steps, and how the answer is to be made."""
+
+    source: Literal["auto", "fem"] = Field(
+        default="auto",
+        description="auto: finite elements only where the surrogate was not trained",
+    )
+    level: Level = Field(default="standard", description="mesh of the finite elements")
+    wait_s: float = Field(
+        default_factory=_absent,
+        ge=0,
+        le=MAX_WAIT,
+        description="how long to wait for the finite elements before answering 202 "
+        "with a job (s); the server's own setting where left out",
+    )
+
+
+class DatasetIn(Strict):
+    """A dataset to be generated."""
+
+    designs: Whole = Field(ge=1, le=MAX_DESIGNS, strict=True)
+    seed: Whole = Field(ge=0, le=2**53, strict=True)
+    effects: list[str] = Field(default=[], max_length=20)
+    level: Level = "standard"
+
+
+Numbers = list[float | None]
+
+
+class Quantity(BaseModel):
+    """One quantity at every load step; null where the step was not reached."""
+
+    value: Numbers
+    low: Numbers = Field(description="lower end of the 90 % interval")
+    high: Numbers = Field(description="upper end of the 90 % interval")
+
+
+def _quantity(field: str) -> Any:
+    output = next(output for output in OUTPUTS if output.name == field)
+    column = BY_FIELD[field]
+    return Field(
+        description=f"{output.long_name} ({column.unit})",
+        json_schema_extra={"unit": column.unit},
+    )
+
+
+class PredictOut(BaseModel):
+    """The answer, from the surrogate or from the finite elements."""
+
+    pressure_kPa: list[float]
+    tip_deflection_mm: Quantity = _quantity("tip_deflection")
+    bending_angle_deg: Quantity = _quantity("bending_angle")
+    inflation_mm: Quantity = _quantity("inflation")
+    inflation_lower_mm: Quantity = _quantity("inflation_lower")
+    cavity_volume_uL: Quantity = _quantity("cavity_volume")
+    source: Literal["surrogate", "fem"]
+    in_range: bool = Field(description="whether the surrogate was trained for this")
+    reasons: list[str] = Field(description="why not, one sentence each")
+    notes: list[str] = Field(description="what else is worth knowing")
+    model_version: str
+    status: str = Field(description="how the path ended")
+    message: str = Field(description="where and why it stopped, if it did")
+    limit_pressure_kPa: float | None = Field(
+        description="where a balloon grows without bound (kPa); null if not met"
+    )
+    unknowns: int | None = Field(description="of the finite elements")
+    seconds: float | None = Field(description="the finite elements took (s)")
+    design: dict[str, int | float]
+
+
+class CheckOut(BaseModel):
+    """What a request means and who would answer it, without computing anything."""
+
+    design: dict[str, int | float]
+    tip_margin_mm: float
+    rim_mm: float
+    thickness_um: float
+    in_range: bool
+    reasons: list[str]
+    notes: list[str]
+
+
+class ErrorBody(BaseModel):
+    """What is wrong; `field` and `allowed` where a value is."""
+
+    type: str
+    message: str
+    field: str | None = None
+    allowed: str | None = None
+
+
+class ErrorOut(BaseModel):
+    """The one shape of every error."""
+
+    error: ErrorBody
+
+
+class JobOut(BaseModel):
+    """A job as it stands; `result` is what the request would have answered."""
+
+    id: str
+    kind: str
+    status: Literal["queued", "running", "done", "failed", "cancelled"]
+    submitted: str = Field(description="UTC, ISO 8601")
+    progress: dict[str, Any]
+    result: dict[str, Any] | None
+    error: dict[str, str] | None = Field(description="as in every error")
+
+
+class FigureIn(Strict):
+    """Curves to draw: answers of ``/v1/predict``, and which quantities of them."""
+
+    answers: list[PredictOut] = Field(min_length=1, max_length=12)
+    quantities: list[str] = Field(
+        default=["inflation_mm", "tip_deflection_mm"], min_length=1, max_length=5
+    )
+
+    @model_validator(mode="after")
+    def _equal_lengths(self) -> FigureIn:
+        for answer in self.answers:
+            steps = len(answer.pressure_kPa)
+            for name in QUANTITY:
+                quantity: Quantity = getattr(answer, name)
+                for values in (quantity.value, quantity.low, quantity.high):
+                    if len(values) != steps:
+                        allowed = f"{steps} numbers, as many as pressure_kPa"
+                        raise InputError(name, Words(f"{len(values)} numbers"), allowed)
+        return self
+
+
+def limits_table() -> list[dict[str, Any]]:
+    """Every design column with its words, unit and bounds, in order."""
+    rows = []
+    for name in DESIGN_COLUMNS:
+        info = DesignIn.model_fields[name]
+        field = next(b.field for b in BY_FIELD.values() if b.name == name)
+        lower, upper = bounds(BY_FIELD[field])
+        rows.append(
+            {
+                "name": name,
+                "label": info.title,
+                "unit": BY_FIELD[field].unit,
+                "lower": lower,
+                "upper": upper,
+                "whole": LIMITS[field].scale == "integer",
+                "default": DEFAULTS.get(name),
+            }
+        )
+    return rows

@@ -1,0 +1,263 @@
+"""The trained surrogate: answers, intervals, range check, and its two files.
+
+A folder holds ``model.json``, which describes the model in words and numbers, and
+``weights.safetensors`` with every array.  Nothing in either can run code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.device import DESIGN_SPACE, Design
+from datagen.errors import InputError
+from datagen.response import CONVERGED, Response
+from datagen.response import Path as LoadPath
+from datagen.space import Space
+from datagen.units import PRESSURE
+from datagen.worker import NO_STEP
+
+from .calibration import ONE_SIGMA, Calibration
+from .domain import Domain, RangeCheck
+from .expansion import Answers, Expansion
+from .features import Prepared, columns_of, features, prepare
+from .limit import Limit, LimitModel
+
+Array = np.ndarray
+
+REFERENCE = Path(__file__).parent / "reference"
+"""Folder of the model that is shipped with the program."""
+
+CHUNK = 4096
+"""Load steps evaluated at a time, to bound memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """An answer with its interval.
+
+    Parameters
+    ----------
+    response : Response
+        Mean of the members, and one calibrated standard deviation.
+    low, high : (n, s, m) arrays, SI
+        Ends of the interval.
+    coverage : float
+        Share of the points of unseen designs that such intervals cover.
+    """
+
+    response: Response
+    low: Array
+    high: Array
+    coverage: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """A forward model as fast as a formula.
+
+    Parameters
+    ----------
+    outputs : tuple of m str
+    space : Space
+        What was sampled for the training: design variables, and parameters of effects
+        as ``effect.parameter``.
+    effects : tuple of str
+        Effects that the training data had in them.
+    expansion : Expansion
+        Networks for the outputs.
+    limit : LimitModel
+        Networks for the limit pressure.
+    calibration : Calibration
+    domain : Domain
+    description : dict
+        Where the model comes from: dataset, sizes, seeds, settings, accuracy.
+    parameters : mapping
+        ``{effect: {parameter: value}}``, SI; at its off value where not given.
+    """
+
+    outputs: tuple[str, ...]
+    space: Space
+    effects: tuple[str, ...]
+    expansion: Expansion
+    limit: LimitModel
+    calibration: Calibration
+    domain: Domain
+    description: dict[str, Any]
+    parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        known = {p.name for p in self.space if "." in p.name}
+        for effect, values in self.parameters.items():
+            for name, value in values.items():
+                full = f"{effect}.{name}"
+                if full not in known:
+                    allowed = ", ".join(sorted(known)) or "none, without effects"
+                    raise InputError("parameters", full, allowed)
+                if not np.isfinite(value):
+                    raise InputError(full, value, "a finite number")
+
+    @cached_property
+    def version(self) -> str:
+        """Twelve hexadecimal digits of what the model is made of."""
+        from .store import content_digest
+
+        return content_digest(self)[:12]
+
+    def with_parameters(
+        self, parameters: Mapping[str, Mapping[str, float]]
+    ) -> Ensemble:
+        """The same model with its effects' parameters at other values, SI."""
+        return replace(self, parameters=parameters)
+
+    def __call__(
+        self, designs: Sequence[Design], paths: Sequence[LoadPath]
+    ) -> Response:
+        """Predict each design along its own path; std is one calibrated deviation."""
+        pressure = _stacked(designs, paths)
+        answers, limit = self._answers(self._prepared(designs), pressure)
+        scale = self.calibration.scale(answers.spread)
+        return self._response(pressure, answers, scale, limit)
+
+    def predict(
+        self,
+        designs: Sequence[Design],
+        paths: Sequence[LoadPath],
+        coverage: float = 0.9,
+    ) -> Prediction:
+        """Predict with intervals of the given coverage, 0.5 to 0.99.
+
+        Raises
+        ------
+        InputError
+            When the coverage is outside that, or beyond what the number of
+            calibration designs supports.
+        """
+        pressure = _stacked(designs, paths)
+        quantile = self.calibration.quantile(coverage)
+        answers, limit = self._answers(self._prepared(designs), pressure)
+        scale = self.calibration.scale(answers.spread)
+        response = self._response(pressure, answers, scale, limit)
+        half = quantile * scale
+        return Prediction(
+            response, response.values - half, response.values + half, coverage
+        )
+
+    def check(self, design: Design, pressure: Array) -> RangeCheck:
+        """Whether the model was trained for this, and where its members disagree.
+
+        Parameters
+        ----------
+        design : Design
+        pressure : (s,) array, Pa
+        """
+        pressure = LoadPath(pressure).pressure
+        prepared = self._prepared([design])
+        answers, limit = self._answers(prepared, pressure[None])
+        found = self.domain.check(prepared.columns, pressure, limit)
+        spread = answers.spread[0]
+        size = np.maximum(spread.size, np.finfo(float).tiny)
+        ratio = spread.disagreement / size
+        notes = []
+        for o, name in enumerate(self.outputs):
+            worst, most = ratio[:, o].argmax(), self.domain.disagreement[o]
+            if ratio[worst, o] > most:
+                kpa = pressure[worst] / PRESSURE.factor
+                notes.append(
+                    f"the ensemble disagrees on {name} at {kpa:g} kPa: its spread is "
+                    f"{ratio[worst, o]:.1%} of the terms; {most:.1%} is not passed at "
+                    "99 % of the points of unseen designs"
+                )
+        return replace(found, notes=tuple(notes))
+
+    def limit_pressure(self, designs: Sequence[Design]) -> Limit:
+        """Predicted limit pressure of each design."""
+        return self.limit(self._prepared(designs))
+
+    def save(self, folder: str | Path) -> None:
+        """Write ``model.json`` and ``weights.safetensors`` into a folder."""
+        from .store import write
+
+        write(self, Path(folder))
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Ensemble:
+        """Read a saved model.
+
+        Raises
+        ------
+        FileError
+            When a file is missing, damaged, of another version, or the two do not
+            belong together.
+        """
+        from .store import read
+
+        return read(Path(folder))
+
+    def _prepared(self, designs: Sequence[Design]) -> Prepared:
+        """Designs, with the effects' parameters at their values."""
+        sampled = [
+            [float(getattr(design, name)) for name in DESIGN_SPACE.names]
+            for design in designs
+        ]
+        columns = columns_of(DESIGN_SPACE.names, np.array(sampled))
+        for parameter in self.space:
+            effect, dot, name = parameter.name.rpartition(".")
+            if dot:
+                value = self.parameters.get(effect, {}).get(name, parameter.off)
+                columns[parameter.name] = np.full(len(designs), value, dtype=float)
+        return prepare(columns, self.space)
+
+    def _answers(self, prepared: Prepared, pressure: Array) -> tuple[Answers, Limit]:
+        """Answers at (n, s) pressures; NaN where the pressure is."""
+        limit = self.limit(prepared)
+        nearness = np.abs(pressure) / limit.pressure[:, None]
+        some = max(1, CHUNK // pressure.shape[1])
+        parts = []
+        for begin in range(0, len(prepared), some):
+            own = slice(begin, begin + some)
+            inputs = features(prepared[own], pressure[own], limit.pressure[own])
+            parts.append(self.expansion(inputs, nearness[own]))
+        return Answers.joined(parts), limit
+
+    def _response(
+        self, pressure: Array, answers: Answers, scale: Array, limit: Limit
+    ) -> Response:
+        n, _ = pressure.shape
+        given = np.isfinite(pressure)
+        highest = np.nanmax(pressure, axis=1)
+        met = np.isfinite(limit.std) & (limit.pressure <= highest)
+        return Response(
+            outputs=self.outputs,
+            pressure=pressure,
+            values=answers.mean,
+            std=self.calibration.quantile(ONE_SIGMA) * scale,
+            status=np.where(given, CONVERGED, NO_STEP),
+            path_status=("completed",) * n,
+            limit_pressure=np.where(met, limit.pressure, np.nan),
+            message=("",) * n,
+            info={"source": "surrogate", "version": self.version},
+        )
+
+
+def reference_model() -> Ensemble:
+    """The model that is shipped with the program."""
+    return Ensemble.load(REFERENCE)
+
+
+def _stacked(designs: Sequence[Design], paths: Sequence[LoadPath]) -> Array:
+    """(n, s) pressures, padded with NaN."""
+    if len(designs) != len(paths) or not designs:
+        raise InputError(
+            "paths", len(paths), f"one path a design: {len(designs)}, at least 1"
+        )
+    most = max(len(path.pressure) for path in paths)
+    pressure = np.full((len(paths), most), np.nan)
+    for i, path in enumerate(paths):
+        pressure[i, : len(path.pressure)] = path.pressure
+    return pressure

@@ -1,0 +1,57 @@
+"""Which designs train, which test, and which member sees which.
+
+The unit is the design, never the load step: neighbouring points of one path say the
+same thing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from datagen.dataset import Dataset
+
+Array = np.ndarray
+
+TEST_SHARE = 0.15
+"""Share of the designs that no training ever sees."""
+
+
+def is_test(inputs: Array) -> Array:
+    """(n,) bool.  Held-out designs, by a hash of the design's own numbers.
+
+    The same design is held out in every dataset it appears in, however large, so a
+    dataset can grow and be trained on again without a test design slipping in.
+
+    Parameters
+    ----------
+    inputs : (n, d) array, SI
+    """
+    shares = []
+    for row in inputs:
+        # Ten digits: the same design must not change sides by a unit conversion.
+        text = " ".join(f"{value:.9e}" for value in row)
+        digest = hashlib.sha256(text.encode()).digest()
+        shares.append(int.from_bytes(digest[:8], "big") / 2**64)
+    return np.array(shares) < TEST_SHARE
+
+
+def usable(dataset: Dataset) -> Array:
+    """(n,) bool.  Designs with at least one converged step."""
+    return np.array([dataset.steps(i) > 0 for i in range(len(dataset))])
+
+
+def folds(designs: int, folds: int, repeats: int, seed: int) -> Array:
+    """(repeats * folds, designs) bool: designs that each member must not see.
+
+    Member (r, k) holds out fold k of partition r.  Every design is held out by
+    `repeats` members, so that their mean and their disagreement on it are those of
+    an ensemble that has not seen it.
+    """
+    rng = np.random.default_rng(seed)
+    held = np.zeros((repeats, folds, designs), dtype=bool)
+    for r in range(repeats):
+        place = rng.permutation(np.arange(designs) % folds)
+        held[r] = place[None, :] == np.arange(folds)[:, None]
+    return held.reshape(repeats * folds, designs)

@@ -1,0 +1,272 @@
+"""Train an ensemble on a dataset and calibrate its intervals."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from datagen.dataset import Dataset
+from datagen.errors import InputError
+
+from .accuracy import accuracy
+from .calibration import Calibration, Spread, calibrate
+from .domain import Domain
+from .ensemble import Ensemble
+from .expansion import Expansion
+from .features import (
+    TERMS,
+    Features,
+    columns_of,
+    features,
+    prepare,
+    term_owners,
+)
+from .limit import SETTINGS as LIMIT_SETTINGS
+from .limit import fit_limit
+from .network import FitSettings, Progress, Rows, fit, one_thread
+from .split import folds, is_test, usable
+
+if TYPE_CHECKING:
+    import torch
+
+Array = np.ndarray
+
+FEWEST_DESIGNS = 20
+"""Training designs that folds, calibration and distances need at the very least."""
+
+SCALE_FLOOR = 0.02
+"""Least scale of an error, as a share of the largest term along the path.
+
+Errors are measured against each path's maximum; where large terms cancel along the
+whole path that maximum is so small that it would drown every other path.
+"""
+
+RESPONSE_SETTINGS = FitSettings()
+
+CHUNK = 64
+"""Designs evaluated at a time, to bound memory."""
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How an ensemble is trained.
+
+    Parameters
+    ----------
+    folds : int
+        Parts of the training designs; a member does not see one of them.
+    repeats : int
+        Different partitions; the ensemble has folds times repeats members.
+    response, limit : FitSettings
+        Of the networks for the outputs and for the limit pressure.
+    huber : float
+        Error, as a share of the path's maximum, from which on it counts linearly.
+    """
+
+    folds: int = 5
+    repeats: int = 4
+    response: FitSettings = RESPONSE_SETTINGS
+    limit: FitSettings = LIMIT_SETTINGS
+    huber: float = 0.02
+
+
+def train(
+    dataset: Dataset,
+    seed: int = 0,
+    settings: TrainSettings = TrainSettings(),
+    progress: Progress | None = None,
+) -> Ensemble:
+    """Train on the designs that are not held out for testing; converged steps only.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    seed : int
+        The same seed gives the same ensemble on the same machine.
+    settings : TrainSettings
+    progress : callable, optional
+        Called as progress(stage, step, steps, held-out loss).  What it raises stops
+        the training; nothing is written before the ensemble is saved.
+
+    Raises
+    ------
+    InputError
+        When the dataset has too few designs.
+    """
+    rows = np.flatnonzero(usable(dataset) & ~is_test(dataset.inputs))
+    if len(rows) < FEWEST_DESIGNS:
+        raise InputError(
+            "dataset",
+            f"{len(rows)} designs to train on",
+            f"at least {FEWEST_DESIGNS} with a converged step, test designs aside",
+        )
+    if dataset.outputs != tuple(TERMS):
+        raise InputError("outputs", ", ".join(dataset.outputs), ", ".join(TERMS))
+    data = dataset.subset(rows)
+    held_out = folds(len(data), settings.folds, settings.repeats, seed)
+    unseen_by = np.stack([np.flatnonzero(held) for held in held_out.T], axis=1)
+    prepared = prepare(columns_of(data.variables, data.inputs), data.space)
+    converged = data.status == 0
+    pressure = np.where(converged, data.pressure, 0.0)
+    with one_thread():
+        limit, limit_report = fit_limit(
+            prepared,
+            data.limit_pressure,
+            pressure.max(axis=1),
+            held_out,
+            seed + 1,
+            settings.limit,
+            progress,
+        )
+        # Designs are shown with the limit pressure that members predict who had not
+        # seen them: at prediction time there is nothing better.
+        unseen = limit(prepared, unseen_by)
+        inputs = features(prepared, pressure, unseen.pressure)
+        owner = term_owners(prepared.effects)
+        expansion, response_report = _fit_response(
+            data, inputs, owner, held_out, seed + 2, settings, progress
+        )
+    calibration, disagreement = _calibrate(
+        data, expansion, inputs, pressure / unseen.pressure[:, None], unseen_by
+    )
+    ensemble = Ensemble(
+        outputs=data.outputs,
+        space=data.space,
+        effects=data.effects,
+        expansion=expansion,
+        limit=limit,
+        calibration=calibration,
+        domain=Domain.of(data.space, data.max_pressure, prepared.columns, disagreement),
+        description={
+            "dataset": dataset.digest(),
+            "generator_version": dataset.generator_version,
+            "level": dataset.level,
+            "dataset_seed": dataset.seed,
+            "designs": len(dataset),
+            "n_train": len(data),
+            "train_steps": int(converged.sum()),
+            "seed": seed,
+            "settings": asdict(settings),
+            "response_fit": response_report,
+            "limit_fit": limit_report,
+        },
+    )
+    return _with_accuracy(ensemble, dataset)
+
+
+def _with_accuracy(ensemble: Ensemble, dataset: Dataset) -> Ensemble:
+    """The ensemble with its accuracy on held-out designs in its description."""
+    if not (is_test(dataset.inputs) & usable(dataset)).any():
+        return ensemble
+    measured = accuracy(ensemble, dataset).to_json()
+    return replace(ensemble, description=ensemble.description | {"accuracy": measured})
+
+
+def path_scale(data: Dataset, terms: Array, owner: Array) -> Array:
+    """(n, m) SI.  Largest magnitude of each output along each path, with a floor.
+
+    Parameters
+    ----------
+    terms : (n, s, k) array, SI
+        0 where there is no converged step.
+    owner : (k,) int array
+    """
+    converged = (data.status == 0)[..., None]
+    values = np.where(converged, np.abs(data.values), 0.0).max(axis=1)
+    largest = np.abs(terms).max(axis=1)
+    floor = [largest[:, owner == o].max(axis=1) for o in range(values.shape[1])]
+    scale: Array = np.maximum(values, SCALE_FLOOR * np.stack(floor, axis=1))
+    return scale
+
+
+def _fit_response(
+    data: Dataset,
+    inputs: Features,
+    owner: Array,
+    held_out: Array,
+    seed: int,
+    settings: TrainSettings,
+    progress: Progress | None,
+) -> tuple[Expansion, dict[str, Any]]:
+    """Fit constant weights of the terms, then the networks on top of them."""
+    import torch
+
+    converged = data.status == 0
+    design, count = np.nonzero(converged)[0], converged.sum(axis=1)
+    weight = 1 / count[design]
+    scale = path_scale(data, inputs.terms, owner)[design]
+    target = data.values[converged] / scale
+    terms = inputs.terms[converged] / scale[:, owner]
+    # In units in which a change of a weight by 1 changes the error by about 1.
+    unit = 1 / np.sqrt(np.average(terms**2, axis=0, weights=weight))
+    terms *= unit
+    start = np.concatenate(
+        [
+            _constant_weights(terms[:, owner == o], target[:, o], weight)
+            for o in range(target.shape[1])
+        ]
+    )
+
+    def single(array: Array) -> torch.Tensor:
+        return torch.tensor(array, dtype=torch.float32)
+
+    gather = single(owner[:, None] == np.arange(target.shape[1]))
+    weights, parts, wanted = single(start), single(terms), single(target)
+
+    def loss(answers: torch.Tensor, picked: torch.Tensor) -> torch.Tensor:
+        error = ((weights + answers) * parts[picked]) @ gather - wanted[picked]
+        huber = torch.nn.functional.huber_loss(
+            error, torch.zeros_like(error), delta=settings.huber, reduction="none"
+        )
+        return huber.sum(dim=-1) / settings.huber
+
+    stack, report = fit(
+        inputs.point[converged],
+        Rows(np.cumsum(count) - count, count, held_out),
+        len(owner),
+        loss,
+        settings.response,
+        seed,
+        "response",
+        progress,
+    )
+    return Expansion(stack, start * unit, unit, owner), report
+
+
+def _constant_weights(terms: Array, target: Array, weight: Array) -> Array:
+    """Weighted least squares, with a ridge against terms that say the same."""
+    root = np.sqrt(weight)[:, None]
+    a, b = terms * root, target * root[:, 0]
+    normal = a.T @ a
+    ridge = 1e-3 * np.diag(np.diag(normal))
+    solution: Array = np.linalg.solve(normal + ridge, a.T @ b)
+    return solution
+
+
+def _calibrate(
+    data: Dataset,
+    expansion: Expansion,
+    inputs: Features,
+    nearness: Array,
+    unseen_by: Array,
+) -> tuple[Calibration, Array]:
+    """Calibration on each design by the members that had not seen it.
+
+    Returns it with the (m,) disagreement, over the size of the terms, that 99 % of
+    those points stay below.
+    """
+    errors, spreads = [], []
+    for begin in range(0, len(data), CHUNK):
+        some = slice(begin, begin + CHUNK)
+        own = Features(inputs.point[some], inputs.terms[some])
+        answers = expansion(own, nearness[some], unseen_by[:, some])
+        good = data.status[some] == 0
+        errors.append((answers.values - data.values[some])[:, good])
+        spreads.append(answers.spread[good])
+    spread = Spread.joined(spreads)
+    design = np.nonzero(data.status == 0)[0]
+    members = expansion.stack.members
+    found = calibrate(np.concatenate(errors, axis=1), spread, design, members)
+    return found, np.quantile(spread.disagreement / spread.size, 0.99, axis=0)

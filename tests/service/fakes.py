@@ -1,0 +1,141 @@
+"""Stand-ins for surrogate and finite elements, with closed forms that tests know.
+
+The fakes only stand where the real parts are not what is tested: the translation of
+units, the choice of who answers, jobs, errors.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from datagen.device import DESIGN_SPACE, MAX_PRESSURE, Design
+from datagen.errors import InputError
+from datagen.response import CONVERGED, OUTPUT_NAMES, Path, Response
+from service.answer import fem_answer
+from service.workers import Report
+
+BAND = 1e-6  # half the width of the fake interval, SI
+
+
+def closed_form(design: Design, pressure: np.ndarray) -> np.ndarray:
+    """(s, m) array: anything smooth that depends on design and pressure."""
+    x = pressure / design.upper_modulus
+    scale = design.upper_thickness * np.arange(1, len(OUTPUT_NAMES) + 1)
+    return x[:, None] * scale
+
+
+@dataclass(frozen=True)
+class FakeCheck:
+    in_range: bool
+    reasons: tuple[str, ...]
+    per_step: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class FakePrediction:
+    response: Response
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _response(designs: Sequence[Design], paths: Sequence[Path], end: float) -> Response:
+    (design,), (path,) = designs, paths
+    reached = path.pressure <= end
+    values = np.where(reached[:, None], closed_form(design, path.pressure), np.nan)
+    stopped = not reached.all()
+    return Response(
+        OUTPUT_NAMES,
+        path.pressure[None],
+        values[None],
+        np.zeros_like(values)[None],
+        np.where(reached, CONVERGED, "limit_point")[None],
+        ("limit_point" if stopped else "completed",),
+        np.array([end if stopped else np.nan]),
+        (f"the path turns at {end / 1e3:g} kPa" if stopped else "",),
+        {"unknowns": 4321, "seconds": 0.25},
+    )
+
+
+@dataclass(frozen=True)
+class FakeSurrogate:
+    version: str = "fake-1"
+    description: Mapping[str, Any] = field(
+        default_factory=lambda: {"n_train": np.int64(3), "worst": float("nan")}
+    )
+
+    def predict(
+        self, designs: Sequence[Design], paths: Sequence[Path], coverage: float = 0.9
+    ) -> FakePrediction:
+        response = _response(designs, paths, np.inf)
+        return FakePrediction(response, response.values - BAND, response.values + BAND)
+
+    def check(self, design: Design, pressure: np.ndarray) -> FakeCheck:
+        reasons = [
+            f"{p.name} is outside the trained range"
+            for p, _ in DESIGN_SPACE.outside(design.sampled())
+        ]
+        if pressure.max() > MAX_PRESSURE:
+            reasons.append("pressure_kPa: past the trained 150 kPa")
+        inside = np.full(pressure.shape, not reasons)
+        return FakeCheck(not reasons, tuple(reasons), inside)
+
+
+class FakeFem:
+    """Finite elements whose path turns at 400 kPa."""
+
+    def __call__(self, designs: Sequence[Design], paths: Sequence[Path]) -> Response:
+        return _response(designs, paths, 400e3)
+
+
+def predict(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """Task: the fake finite elements, after as many ms as `lower_thickness` has um.
+
+    A `cavity_height` of 13 um stands for a request that only the worker can refuse,
+    one of 14 um for a bug in it, 15 um for a process that dies.
+    """
+    design = Design(**payload["design"])
+    special = round(design.cavity_height / 1e-6)
+    if special == 13:
+        raise InputError("cavity_height_um", 13.0, "another height", "um")
+    if special == 14:
+        raise ZeroDivisionError("a bug")
+    if special == 15:
+        os._exit(9)
+    time.sleep(design.lower_thickness / 1e-6 / 1e3)
+    return fem_answer(
+        FakeFem(),
+        "fem-fake",
+        design,
+        np.asarray(payload["pressure"], dtype=float),
+        payload["in_range"],
+        payload["reasons"],
+    ).to_dict()
+
+
+def count(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """Task: as many steps as `designs`, each noted in a file; goes on after a kill."""
+    notes = FilePath(payload["out"])
+    done = len(notes.read_text().split()) if notes.exists() else 0
+    started = done
+    while done < payload["designs"]:
+        time.sleep(0.05)
+        done += 1
+        with notes.open("a") as file:
+            file.write(f"{done}\n")
+        if done == started + 1:  # silent afterwards: a broken pipe shall not stop it
+            report({"done": done, "total": payload["designs"]})
+    return {"file": str(notes), "started": started, "designs": done}
+
+
+KINDS = {
+    "predict": "tests.service.fakes:predict",
+    "dataset": "tests.service.fakes:count",
+}

@@ -1,0 +1,168 @@
+"""Training: repeatable, split by design, robust to failed paths, interruptible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from datagen.dataset import Dataset
+from datagen.errors import InputError
+from datagen.worker import STEP_STATUS
+from surrogate import train as training
+from surrogate.ensemble import Ensemble
+from surrogate.features import columns_of, features, prepare, term_owners
+from surrogate.network import FitSettings, Rows, fit, one_thread
+from surrogate.split import is_test
+from surrogate.train import TrainSettings, train
+from tests.surrogate.conftest import QUICK
+from tests.surrogate.synthetic import synthetic
+
+TINY = TrainSettings(
+    folds=3,
+    repeats=2,
+    response=FitSettings(hidden=(8,), steps=60, batch=64, check_every=20),
+    limit=FitSettings(hidden=(4,), steps=40, batch=32, check_every=20),
+)
+
+
+@pytest.fixture(scope="module")
+def small() -> Dataset:
+    return synthetic(60, 11)
+
+
+def test_repeats_bit_by_bit(small: Dataset) -> None:
+    first = train(small, seed=4, settings=TINY)
+    torch.manual_seed(999)  # nothing may depend on the global generator
+    assert train(small, seed=4, settings=TINY).version == first.version
+    assert train(small, seed=5, settings=TINY).version != first.version
+
+
+def test_test_designs_are_never_seen(small: Dataset) -> None:
+    held = is_test(small.inputs)
+    assert held.any()
+    spoiled = small.values.copy()
+    spoiled[held] *= 100
+    other = replace(small, values=spoiled)
+    assert train(other, settings=TINY).version == train(small, settings=TINY).version
+
+
+def test_only_converged_steps_are_used(small: Dataset) -> None:
+    """Failed steps may hold any number: nothing depends on it."""
+    status = small.status.copy()
+    code = STEP_STATUS.index("step_too_small")
+    failed = np.flatnonzero(~is_test(small.inputs))[:15]
+    for i in failed:
+        status[i, small.steps(i) // 2 :] = code
+    first = replace(small, status=status)
+    wild = small.values.copy()
+    wild[status != 0] = 1e30
+    second = replace(first, values=wild)
+    one, two = (train(data, settings=TINY) for data in (first, second))
+    assert one.version == two.version
+    assert one.description["train_steps"] == int(
+        (status[~is_test(small.inputs)] == 0).sum()
+    )
+
+
+def test_a_path_without_a_single_step_is_left_out(small: Dataset) -> None:
+    status = small.status.copy()
+    lost = np.flatnonzero(~is_test(small.inputs))[:2]
+    status[lost] = STEP_STATUS.index("step_too_small")
+    found = train(replace(small, status=status), settings=TINY)
+    assert found.description["n_train"] == (~is_test(small.inputs)).sum() - 2
+
+
+def test_too_few_designs(small: Dataset) -> None:
+    with pytest.raises(InputError, match="at least 20"):
+        train(small.subset(range(15)), settings=TINY)
+
+
+def test_progress_and_interrupt(small: Dataset) -> None:
+    seen: list[tuple[str, int, int, float]] = []
+    train(small, settings=TINY, progress=lambda *state: seen.append(state))
+    assert [s[1] for s in seen if s[0] == "response"] == [20, 40, 60]
+    assert all(np.isfinite(s[3]) for s in seen)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    threads = torch.get_num_threads()
+    with pytest.raises(KeyboardInterrupt):
+        train(small, settings=TINY, progress=stop)
+    assert torch.get_num_threads() == threads
+
+
+def test_stops_early_and_keeps_the_best() -> None:
+    """Pure noise: the held-out loss only rises once the network begins to fit."""
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(60, 6)), torch.tensor(rng.normal(size=60)).float()
+    held = np.arange(60)[None, :] % 3 == np.arange(3)[:, None]
+    rows = Rows(np.arange(60), np.ones(60, dtype=int), held)
+    looks: list[float] = []
+
+    def loss(answers: torch.Tensor, picked: torch.Tensor) -> torch.Tensor:
+        return (answers[..., 0] - y[picked]) ** 2
+
+    settings = FitSettings(
+        hidden=(64,), steps=5000, batch=64, rate=1e-2, check_every=10, patience=5
+    )
+    with one_thread():
+        stack, report = fit(
+            x, rows, 1, loss, settings, 0, progress=lambda *s: looks.append(s[3])
+        )
+    assert len(looks) < 100
+    assert report["loss"] == min(looks)
+    assert looks.index(min(looks)) == len(looks) - 6
+    answers = stack(x)[..., 0]
+    own = np.mean([(answers[m] - y.numpy())[held[m]] ** 2 for m in range(3)])
+    assert own == pytest.approx(report["loss"], rel=1e-4)
+
+
+def test_a_design_counts_once_however_long_its_path(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """One design with 1000 rows and one with a single row pull alike."""
+    x = np.zeros((1002, 1))
+    y = torch.cat([torch.zeros(1000), torch.ones(1), torch.full((1,), 0.5)])
+    rows = Rows(
+        np.array([0, 1000, 1001]), np.array([1000, 1, 1]), np.eye(3, dtype=bool)[2:]
+    )
+
+    def loss(answers: torch.Tensor, picked: torch.Tensor) -> torch.Tensor:
+        return (answers[..., 0] - y[picked]) ** 2
+
+    settings = FitSettings(hidden=(4,), steps=600, batch=256, rate=1e-2, decay=0.0)
+    stack, _ = fit(x, rows, 1, loss, settings, 0)
+    assert stack(np.zeros((1, 1)))[0, 0, 0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_learns_what_closed_forms_do_not_know(
+    ensemble: Ensemble, dataset: Dataset
+) -> None:
+    """Better than the closed forms with their best constant weights."""
+    untrained = replace(QUICK, response=replace(QUICK.response, rate=0.0))
+    before = train(dataset, seed=1, settings=untrained).description["accuracy"]
+    after = ensemble.description["accuracy"]
+    for name in ("inflation_mm", "inflation_lower_mm", "cavity_volume_uL"):
+        old, new = before["outputs"][name], after["outputs"][name]
+        assert new["median_pct"] < 0.35 * old["median_pct"]
+        assert new["median_pct"] < 3
+    assert after["outputs"]["tip_deflection_mm"]["r2"] > 0.7
+
+
+def test_scale_floor(dataset: Dataset) -> None:
+    """A path along which the terms cancel is not divided by next to nothing."""
+    rows = np.arange(20)
+    data = dataset.subset(rows)
+    values = data.values.copy()
+    values[0, :, 0] *= 1e-9
+    flat = replace(data, values=values)
+    own = prepare(columns_of(data.variables, data.inputs), data.space)
+    pressure = np.where(data.status == 0, data.pressure, 0.0)
+    terms = features(own, pressure, own.limit_scale).terms
+    owner = term_owners(effects=False)
+    scale = training.path_scale(flat, terms, owner)
+    largest = np.abs(terms[0][:, owner == 0]).max()
+    assert scale[0, 0] == pytest.approx(training.SCALE_FLOOR * largest)
+    assert scale[1, 2] == np.nanmax(np.abs(data.values[1, :, 2]))
