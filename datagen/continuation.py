@@ -67,7 +67,7 @@ class Options:
     factorisations: int = 4
     predictor_error: float = 0.03
     largest_error: float = 0.15
-    tangent_tolerance: float = 1e-5
+    tangent_tolerance: float = 1e-4
     tangent_iterations: int = 12
     first_step: float = 0.12
     smallest_step: float = 1e-4

@@ -41,7 +41,7 @@ class MeshLevel:
         Elements from the clamp to the first balloon, from the last balloon to the
         tip, and across the rim.
     wall : int
-        Elements across half a wall between two balloons.
+        Elements across a wall between two balloons.
     membrane, spacer : int
         Elements through each membrane and through the spacer.
     edge_x, edge_y : float
@@ -65,19 +65,24 @@ class MeshLevel:
 
     def along(self, divisions: int) -> int:
         """Elements along half of one of `divisions` balloons."""
-        return max(self.balloon_x - divisions // 2, (self.balloon_x + 1) // 2)
+        return self._share(self.balloon_x, divisions)
 
     def across(self, divisions: int) -> int:
         """Elements across half of one of `divisions` balloons."""
-        return max(self.balloon_y - divisions // 2, (self.balloon_y + 1) // 2)
+        return self._share(self.balloon_y, divisions)
+
+    @staticmethod
+    def _share(count: int, divisions: int) -> int:
+        """Shorter balloons need fewer elements, but never under half of them."""
+        return count if divisions == 1 else max(count - divisions, (count + 1) // 2)
 
 
 LEVELS: dict[str, MeshLevel] = {
     level.name: level
     for level in (
         MeshLevel("draft", 4, 3, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0),
-        MeshLevel("standard", 6, 4, 3, 2, 2, 1, 2, 1, 0.8, 0.7, 1.0),
-        MeshLevel("fine", 8, 6, 5, 4, 4, 2, 3, 2, 0.25, 0.25, 1.0),
+        MeshLevel("standard", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0),
+        MeshLevel("fine", 8, 6, 5, 4, 4, 4, 3, 3, 0.25, 0.25, 0.6),
     )
 }
 
@@ -141,19 +146,19 @@ def grid_lines(design: Design, level: MeshLevel) -> tuple[Array, Array, Array]:
     for i, (left, right) in enumerate(bx):
         x.append(_between(left, right, along, edge_x))
         if i + 1 < len(bx):
-            x.append(_between(right, bx[i + 1][0], level.wall, edge_x))
+            x.append(np.linspace(right, bx[i + 1][0], level.wall + 1))
     x.append(graded(bx[-1][1], design.length, level.tip, edge_x))
 
     y: list[Array] = []
     if by[0][0] > 0:  # an even division has half a wall at the mid-plane
-        y.append(graded(by[0][0], 0.0, level.wall, edge_y))
+        y.append(np.linspace(0.0, by[0][0], (level.wall + 1) // 2 + 1))
     for j, (left, right) in enumerate(by):
         if left == 0.0:
             y.append(graded(right, 0.0, across, edge_y))
         else:
             y.append(_between(left, right, across, edge_y))
         if j + 1 < len(by):
-            y.append(_between(right, by[j + 1][0], level.wall, edge_y))
+            y.append(np.linspace(right, by[j + 1][0], level.wall + 1))
     y.append(graded(by[-1][1], design.width / 2, level.rim, edge_y))
 
     floor = design.lower_thickness

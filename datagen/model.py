@@ -26,7 +26,7 @@ GENERATOR_VERSION = "1"
 """Changes whenever the numbers that the model gives change."""
 
 
-EXPLORED_STEPS = 10
+EXPLORED_STEPS = 8
 """Even load steps of `Model.explore`, besides those that the follower adds."""
 
 

@@ -30,7 +30,7 @@ BLOCK = re.compile(r"(<!-- begin: ([\w-]+) -->\n)(.*?)(<!-- end: \2 -->)", re.DO
 ACCURACY = "accuracy surrogate/reference surrogate/reference/dataset.h5 --json"
 CASES = (1, 2, 3, 4)
 AT = (20, 60, 100)
-TWELVE = ",".join(f"{50 * i / 12:.4g}" for i in range(1, 13))
+TWELVE = "2,4,8,12,16,20,25,30,35,40,45,50"
 COST = f"solve --device S1 --case 1 --pressures {TWELVE} --json"
 
 

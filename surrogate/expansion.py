@@ -1,9 +1,11 @@
 """The answer of every member: terms with the dimension of the output, weighed.
 
-    y_o = sum_k B_ok c_ok,    c_ok = base_ok + unit_ok net_ok(features)
+    y_o = sum_k B_ok c_ok
 
 `base` is the best constant weight of each term over the training designs, so an
-untrained network already answers with the closed forms.
+untrained network already answers with the closed forms.  The networks' answers move it:
+c = base + unit net for outputs of either sign, c = base exp(net) for those that are
+positive.
 """
 
 from __future__ import annotations
@@ -19,6 +21,9 @@ from .features import Features
 from .network import Stack
 
 Array = np.ndarray
+
+LARGEST_LOG = 2.5
+"""Bound of the logarithm of a positive weight over its constant value."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,8 @@ class Expansion:
     ----------
     stack : Stack
     base, unit : (k,) arrays
-        Weights are base + unit times the networks' answers.
+    positive : (k,) bool array
+        Which weights are positive.
     owner : (k,) int array
         Output that each term belongs to.
     """
@@ -66,6 +72,7 @@ class Expansion:
     stack: Stack
     base: Array
     unit: Array
+    positive: Array
     owner: Array
 
     @cached_property
@@ -74,6 +81,15 @@ class Expansion:
         places = np.arange(self.owner.max() + 1)
         gather: Array = (self.owner[:, None] == places).astype(float)
         return gather
+
+    def weights(self, net: Array) -> Array:
+        """(..., k) weights of the terms for (..., k) answers of the networks."""
+        weights = self.base + self.unit * net
+        # Factors seen are 0.3 to 3; far from the training data they stay bounded.
+        held = np.clip(net[..., self.positive], -LARGEST_LOG, LARGEST_LOG)
+        weights[..., self.positive] = self.base[self.positive] * np.exp(held)
+        answer: Array = weights
+        return answer
 
     def __call__(
         self, features: Features, nearness: Array, members: Array | None = None
@@ -93,7 +109,7 @@ class Expansion:
         net = net.reshape(-1, n, s, len(self.base))
         if members is not None:
             net = net[members, np.arange(n)]
-        parts = (self.base + self.unit * net) * features.terms
+        parts = self.weights(net) * features.terms
         values = parts @ self.gather
         size = np.sqrt(parts.mean(axis=0) ** 2 @ self.gather)
         # Over r - 1: few members must not look more alike than many.

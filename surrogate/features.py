@@ -55,11 +55,33 @@ TERMS: dict[str, tuple[str, ...]] = {
 }
 """Terms B_ok of each output, in the order of the networks' weights."""
 
+POSITIVE = ("inflation", "inflation_lower", "cavity_volume")
+"""Outputs that never change sign along a path without effects."""
+
+TURNED_OVER = {
+    "tip_deflection": ("tip_deflection", -1.0),
+    "bending_angle": ("bending_angle", -1.0),
+    "inflation": ("inflation_lower", 1.0),
+    "inflation_lower": ("inflation", 1.0),
+    "cavity_volume": ("cavity_volume", 1.0),
+}
+"""Which output of a strip each output of the strip turned over is, and its sign."""
+
 
 def term_owners(effects: bool) -> Array:
     """(k,) int array: the output that each term belongs to, by its place in `TERMS`."""
     counts = [len(terms) + effects for terms in TERMS.values()]
     return np.repeat(np.arange(len(counts)), counts)
+
+
+def positive_terms(effects: bool) -> Array:
+    """(k,) bool array: terms whose weight is positive.
+
+    Those of outputs that never change sign; effects can make any output do so.
+    """
+    positive = np.array([name in POSITIVE and not effects for name in TERMS])
+    chosen: Array = positive[term_owners(effects)]
+    return chosen
 
 
 @dataclass(frozen=True)
@@ -86,14 +108,8 @@ class Prepared:
 
     @property
     def limit_scale(self) -> Array:
-        """(n,) Pa.  Scale of the limit pressure: 2 mu t/a of the weaker membrane.
-
-        The long strip alone carries at most pi mu t/a; the ends of a real balloon and
-        its corners give way earlier.
-        """
-        both = self.both
-        weaker: Array = 2 * (both.load_scale * both.membrane).min(axis=0)
-        return weaker
+        """(n,) Pa.  Closed-form estimate of the limit pressure."""
+        return self.both.limit_pressure
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -175,16 +191,32 @@ def groups(columns: Columns) -> Array:
     return logs
 
 
+def turned_over(columns: Columns) -> dict[str, Array]:
+    """The same strips upside down.
+
+    The spacer is of the lower material, so it then is of the upper one; without
+    effects nothing else tells up from down.  `TURNED_OVER` says what becomes of the
+    outputs.
+    """
+    c = dict(columns)
+    for kind in ("thickness", "modulus"):
+        upper, lower = f"upper_{kind}", f"lower_{kind}"
+        c[upper], c[lower] = columns[lower], columns[upper]
+    c["spacer_modulus"] = columns["lower_modulus"]
+    return c
+
+
 def prepare(columns: Columns, space: Space) -> Prepared:
     """Closed forms and dimensionless inputs of designs.
 
     Parameters
     ----------
     columns : mapping of (n,) arrays, SI
+        ``spacer_modulus`` is that of the lower layer where it is not given.
     space : Space
         Says which of the columns are parameters of effects.
     """
-    c = columns
+    c = {"spacer_modulus": columns["lower_modulus"], **columns}
     both, beam = balloons(c), section(c)
     height = c["lower_thickness"] + c["cavity_height"] + c["upper_thickness"]
     middle = c["lower_thickness"] + c["cavity_height"] / 2
@@ -192,7 +224,7 @@ def prepare(columns: Columns, space: Space) -> Prepared:
     # How free a balloon's edge is to be drawn in by roof and floor: their tension
     # against the in-plane bending of the rim, a clamped beam as long as the balloon.
     pull = (both.shear_modulus * both.thickness).sum(axis=0) / both.half_width
-    rim = 32 * c["lower_modulus"] * height * (c["rim"] / long) ** 3 / long
+    rim = 32 * c["spacer_modulus"] * height * (c["rim"] / long) ** 3 / long
     own = [
         (beam.neutral - middle) / height,
         np.log(beam.stiffness / (beam.axial * height**2)),
@@ -201,6 +233,7 @@ def prepare(columns: Columns, space: Space) -> Prepared:
         both.aspect,
         1 / both.slenderness[0],
         1 / both.slenderness[1],
+        np.log(c["spacer_modulus"] ** 2 / (c["upper_modulus"] * c["lower_modulus"])),
     ]
     inputs = [groups(c), np.stack(own, axis=1)]
     extra = effect_inputs(c, space)
@@ -234,7 +267,9 @@ def features(prepared: Prepared, pressure: Array, limit: Array) -> Features:
         *np.log1p(5 * load),
         *x,
         np.minimum(relative, 1.5),
-        np.sqrt(np.maximum(1 - relative, 0)),
+        # Responses end at the limit point like a square root, here rounded off by
+        # what is not known of its place.
+        np.sqrt(1 - relative + np.hypot(1 - relative, 0.05)),
     )
     fixed = prepared.inputs.shape[1]
     point = np.empty((*pressure.shape, fixed + len(moving)))

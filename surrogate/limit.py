@@ -8,6 +8,7 @@ the limit pressure over the closed-form scale `Prepared.limit_scale`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,7 @@ FEWEST_LIMITS = 12
 """With fewer limit points in a dataset nothing is learned about them."""
 
 SETTINGS = FitSettings(
-    hidden=(32, 32), steps=1500, batch=256, rate=4e-3, decay=0.3, check_every=50
+    hidden=(16,), steps=1000, batch=256, rate=4e-3, decay=3.0, check_every=25
 )
 
 
@@ -117,7 +118,7 @@ def tobit_loss(
 
 
 def fit_limit(
-    prepared: Prepared,
+    views: Sequence[Prepared],
     limit_pressure: Array,
     reached: Array,
     held_out: Array,
@@ -129,8 +130,8 @@ def fit_limit(
 
     Parameters
     ----------
-    prepared : Prepared
-        n designs.
+    views : sequence of Prepared
+        n designs, once or in several views that have the same limit pressure.
     limit_pressure : (n,) array, Pa
         NaN where the path met no limit point.
     reached : (n,) array, Pa
@@ -144,16 +145,20 @@ def fit_limit(
     met = np.isfinite(limit_pressure)
     if met.sum() < FEWEST_LIMITS:
         return LimitModel(None), {"limit_points": int(met.sum())}
-    log_ratio = np.log(np.where(met, limit_pressure, reached) / prepared.limit_scale)
+    known = np.where(met, limit_pressure, reached)
+    # Views of a design stand one after another: together they are one design.
+    log_ratio = np.log(
+        known[:, None] / np.stack([v.limit_scale for v in views], axis=1)
+    )
     shift = float(log_ratio[met].mean())
-    target = torch.tensor(log_ratio - shift, dtype=torch.float32)
-    censored = torch.tensor(~met)
+    target = torch.tensor((log_ratio - shift).ravel(), dtype=torch.float32)
+    censored = torch.tensor(np.repeat(~met, len(views)))
 
     def loss(answers: torch.Tensor, picked: torch.Tensor) -> torch.Tensor:
         return tobit_loss(answers, target[picked], censored[picked])
 
-    count = len(met)
-    rows = Rows(np.arange(count), np.ones(count, dtype=int), held_out)
-    x = prepared.inputs
+    each = len(views)
+    rows = Rows(each * np.arange(len(met)), np.full(len(met), each), held_out)
+    x = np.stack([view.inputs for view in views], axis=1).reshape(each * len(met), -1)
     stack, report = fit(x, rows, 2, loss, settings, seed, "limit pressure", progress)
     return LimitModel(stack, shift), report | {"limit_points": int(met.sum())}

@@ -60,6 +60,7 @@ def arrays_of(ensemble: Ensemble) -> dict[str, Array]:
     arrays |= {
         "terms.base": e.expansion.base,
         "terms.unit": e.expansion.unit,
+        "terms.positive": e.expansion.positive,
         "terms.owner": e.expansion.owner,
         "calibration.shape": e.calibration.shape,
         "calibration.quantiles": e.calibration.quantiles,

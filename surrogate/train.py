@@ -14,14 +14,17 @@ from .accuracy import accuracy
 from .calibration import Calibration, Spread, calibrate
 from .domain import Domain
 from .ensemble import Ensemble
-from .expansion import Expansion
+from .expansion import LARGEST_LOG, Expansion
 from .features import (
     TERMS,
-    Features,
+    TURNED_OVER,
+    Prepared,
     columns_of,
     features,
+    positive_terms,
     prepare,
     term_owners,
+    turned_over,
 )
 from .limit import SETTINGS as LIMIT_SETTINGS
 from .limit import fit_limit
@@ -93,7 +96,7 @@ def train(
     Raises
     ------
     InputError
-        When the dataset has too few designs.
+        When the dataset has too few designs, or other outputs than `TERMS`.
     """
     rows = np.flatnonzero(usable(dataset) & ~is_test(dataset.inputs))
     if len(rows) < FEWEST_DESIGNS:
@@ -107,14 +110,12 @@ def train(
     data = dataset.subset(rows)
     held_out = folds(len(data), settings.folds, settings.repeats, seed)
     unseen_by = np.stack([np.flatnonzero(held) for held in held_out.T], axis=1)
-    prepared = prepare(columns_of(data.variables, data.inputs), data.space)
-    converged = data.status == 0
-    pressure = np.where(converged, data.pressure, 0.0)
+    views = _views(data)
     with one_thread():
         limit, limit_report = fit_limit(
-            prepared,
+            [view.prepared for view in views],
             data.limit_pressure,
-            pressure.max(axis=1),
+            np.where(data.status == 0, data.pressure, 0.0).max(axis=1),
             held_out,
             seed + 1,
             settings.limit,
@@ -122,14 +123,12 @@ def train(
         )
         # Designs are shown with the limit pressure that members predict who had not
         # seen them: at prediction time there is nothing better.
-        unseen = limit(prepared, unseen_by)
-        inputs = features(prepared, pressure, unseen.pressure)
-        owner = term_owners(prepared.effects)
+        unseen = limit(views[0].prepared, unseen_by).pressure
         expansion, response_report = _fit_response(
-            data, inputs, owner, held_out, seed + 2, settings, progress
+            data, views, unseen, held_out, seed + 2, settings, progress
         )
     calibration, disagreement = _calibrate(
-        data, expansion, inputs, pressure / unseen.pressure[:, None], unseen_by
+        data, expansion, views[0].prepared, unseen, unseen_by
     )
     ensemble = Ensemble(
         outputs=data.outputs,
@@ -138,7 +137,9 @@ def train(
         expansion=expansion,
         limit=limit,
         calibration=calibration,
-        domain=Domain.of(data.space, data.max_pressure, prepared.columns, disagreement),
+        domain=Domain.of(
+            data.space, data.max_pressure, views[0].prepared.columns, disagreement
+        ),
         description={
             "dataset": dataset.digest(),
             "generator_version": dataset.generator_version,
@@ -146,7 +147,7 @@ def train(
             "dataset_seed": dataset.seed,
             "designs": len(dataset),
             "n_train": len(data),
-            "train_steps": int(converged.sum()),
+            "train_steps": int((data.status == 0).sum()),
             "seed": seed,
             "settings": asdict(settings),
             "response_fit": response_report,
@@ -154,6 +155,32 @@ def train(
         },
     )
     return _with_accuracy(ensemble, dataset)
+
+
+@dataclass(frozen=True)
+class _View:
+    """The same designs as they are, or turned over.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    values : (n, s, m) array, SI
+    """
+
+    prepared: Prepared
+    values: Array
+
+
+def _views(data: Dataset) -> list[_View]:
+    """The designs and, where nothing else tells up from down, their mirror images."""
+    columns = columns_of(data.variables, data.inputs)
+    views = [_View(prepare(columns, data.space), data.values)]
+    if not data.effects:
+        places = [data.outputs.index(TURNED_OVER[name][0]) for name in data.outputs]
+        signs = np.array([TURNED_OVER[name][1] for name in data.outputs])
+        mirrored = prepare(turned_over(columns), data.space)
+        views.append(_View(mirrored, signs * data.values[..., places]))
+    return views
 
 
 def _with_accuracy(ensemble: Ensemble, dataset: Dataset) -> Ensemble:
@@ -164,27 +191,27 @@ def _with_accuracy(ensemble: Ensemble, dataset: Dataset) -> Ensemble:
     return replace(ensemble, description=ensemble.description | {"accuracy": measured})
 
 
-def path_scale(data: Dataset, terms: Array, owner: Array) -> Array:
+def path_scale(values: Array, terms: Array, owner: Array) -> Array:
     """(n, m) SI.  Largest magnitude of each output along each path, with a floor.
 
     Parameters
     ----------
+    values : (n, s, m) array, SI
     terms : (n, s, k) array, SI
-        0 where there is no converged step.
+        Both 0 where there is no converged step.
     owner : (k,) int array
     """
-    converged = (data.status == 0)[..., None]
-    values = np.where(converged, np.abs(data.values), 0.0).max(axis=1)
+    found = np.abs(values).max(axis=1)
     largest = np.abs(terms).max(axis=1)
-    floor = [largest[:, owner == o].max(axis=1) for o in range(values.shape[1])]
-    scale: Array = np.maximum(values, SCALE_FLOOR * np.stack(floor, axis=1))
+    floor = [largest[:, owner == o].max(axis=1) for o in range(values.shape[2])]
+    scale: Array = np.maximum(found, SCALE_FLOOR * np.stack(floor, axis=1))
     return scale
 
 
 def _fit_response(
     data: Dataset,
-    inputs: Features,
-    owner: Array,
+    views: list[_View],
+    limit: Array,
     held_out: Array,
     seed: int,
     settings: TrainSettings,
@@ -193,18 +220,33 @@ def _fit_response(
     """Fit constant weights of the terms, then the networks on top of them."""
     import torch
 
+    effects = bool(data.effects)
+    owner, positive = term_owners(effects), positive_terms(effects)
     converged = data.status == 0
-    design, count = np.nonzero(converged)[0], converged.sum(axis=1)
-    weight = 1 / count[design]
-    scale = path_scale(data, inputs.terms, owner)[design]
-    target = data.values[converged] / scale
-    terms = inputs.terms[converged] / scale[:, owner]
+    pressure = np.where(converged, data.pressure, 0.0)
+    inputs = [features(view.prepared, pressure, limit) for view in views]
+    known = [np.where(converged[..., None], view.values, 0.0) for view in views]
+    scales = [
+        path_scale(values, own.terms, owner)
+        for values, own in zip(known, inputs, strict=True)
+    ]
+    # The views of a design stand one after another: together they are one design.
+    chosen = np.stack([converged] * len(views), axis=1)
+    place = np.nonzero(chosen)[:2]
+    scale = np.stack(scales, axis=1)[place]
+    target = np.stack(known, axis=1)[chosen] / scale
+    terms = np.stack([own.terms for own in inputs], axis=1)[chosen] / scale[:, owner]
+    point = np.stack([own.point for own in inputs], axis=1)[chosen]
+    count = len(views) * converged.sum(axis=1)
+    weight = 1 / count[place[0]]
     # In units in which a change of a weight by 1 changes the error by about 1.
     unit = 1 / np.sqrt(np.average(terms**2, axis=0, weights=weight))
     terms *= unit
     start = np.concatenate(
         [
-            _constant_weights(terms[:, owner == o], target[:, o], weight)
+            _constant_weights(
+                terms[:, owner == o], target[:, o], weight, positive[owner == o].any()
+            )
             for o in range(target.shape[1])
         ]
     )
@@ -213,17 +255,20 @@ def _fit_response(
         return torch.tensor(array, dtype=torch.float32)
 
     gather = single(owner[:, None] == np.arange(target.shape[1]))
-    weights, parts, wanted = single(start), single(terms), single(target)
+    base, parts, wanted = single(start), single(terms), single(target)
+    grows = torch.tensor(positive)
 
     def loss(answers: torch.Tensor, picked: torch.Tensor) -> torch.Tensor:
-        error = ((weights + answers) * parts[picked]) @ gather - wanted[picked]
+        held = answers.clamp(-LARGEST_LOG, LARGEST_LOG)
+        weights = torch.where(grows, base * torch.exp(held), base + answers)
+        error = (weights * parts[picked]) @ gather - wanted[picked]
         huber = torch.nn.functional.huber_loss(
             error, torch.zeros_like(error), delta=settings.huber, reduction="none"
         )
         return huber.sum(dim=-1) / settings.huber
 
     stack, report = fit(
-        inputs.point[converged],
+        point,
         Rows(np.cumsum(count) - count, count, held_out),
         len(owner),
         loss,
@@ -232,13 +277,22 @@ def _fit_response(
         "response",
         progress,
     )
-    return Expansion(stack, start * unit, unit, owner), report
+    return Expansion(stack, start * unit, unit, positive, owner), report
 
 
-def _constant_weights(terms: Array, target: Array, weight: Array) -> Array:
-    """Weighted least squares, with a ridge against terms that say the same."""
+def _constant_weights(
+    terms: Array, target: Array, weight: Array, positive: bool
+) -> Array:
+    """Weighted least squares for the terms of one output.
+
+    With a ridge against terms that say the same, or, where weights are positive, with
+    one factor for all of them.
+    """
     root = np.sqrt(weight)[:, None]
     a, b = terms * root, target * root[:, 0]
+    if positive:
+        together = a.sum(axis=1)
+        return np.full(terms.shape[1], (together @ b) / (together @ together))
     normal = a.T @ a
     ridge = 1e-3 * np.diag(np.diag(normal))
     solution: Array = np.linalg.solve(normal + ridge, a.T @ b)
@@ -248,8 +302,8 @@ def _constant_weights(terms: Array, target: Array, weight: Array) -> Array:
 def _calibrate(
     data: Dataset,
     expansion: Expansion,
-    inputs: Features,
-    nearness: Array,
+    prepared: Prepared,
+    limit: Array,
     unseen_by: Array,
 ) -> tuple[Calibration, Array]:
     """Calibration on each design by the members that had not seen it.
@@ -258,10 +312,12 @@ def _calibrate(
     those points stay below.
     """
     errors, spreads = [], []
+    pressure = np.where(data.status == 0, data.pressure, 0.0)
     for begin in range(0, len(data), CHUNK):
         some = slice(begin, begin + CHUNK)
-        own = Features(inputs.point[some], inputs.terms[some])
-        answers = expansion(own, nearness[some], unseen_by[:, some])
+        inputs = features(prepared[some], pressure[some], limit[some])
+        nearness = pressure[some] / limit[some, None]
+        answers = expansion(inputs, nearness, unseen_by[:, some])
         good = data.status[some] == 0
         errors.append((answers.values - data.values[some])[:, good])
         spreads.append(answers.spread[good])

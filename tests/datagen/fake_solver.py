@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,11 @@ def solve_with_bug(task: Task) -> Row:
     if task.row == 3:
         raise ZeroDivisionError("radius of row three")
     return solve_slowly(task)
+
+
+def solve_the_next(task: Task) -> Row:
+    """The answer of another row."""
+    return solve_fake(replace(task, row=task.row + 1))
 
 
 def solve_only_bugs(task: Task) -> Row:

@@ -3,7 +3,8 @@
 Roof and floor are arcs whose membrane stiffness depends on how freely the rim is
 drawn in; the strip bends under their tension and the thrust on the end walls, and
 turns far enough for the tip to lag behind.  None of these forms is the one that
-`surrogate.baseline` uses.  Everything depends on p/E and on ratios of lengths alone.
+`surrogate.baseline` uses.  As in the real ones, everything depends on p/E and on ratios
+of lengths alone, and a strip turned over is the same strip.
 """
 
 from __future__ import annotations
@@ -93,9 +94,12 @@ def arc(design: dict[str, float], layer: str) -> tuple[Array, Array, Array, floa
     return pressure[:end], (a * x * (1 + 0.1 * ratio))[:end], 1 / sinc[:end], mu * t
 
 
-def response(design: dict[str, float], pressure: Array) -> Array:
+def response(
+    design: dict[str, float], pressure: Array, spacer_modulus: float | None = None
+) -> Array:
     """(s, 5) outputs, SI, at (s,) pressures up to the limit."""
     d = design
+    spacer = spacer_modulus or d["lower_modulus"]
     rise, pull = {}, {}
     long = d["balloon_length"] / d["divisions_x"]
     wide = d["balloon_width"] / d["divisions_y"]
@@ -108,12 +112,11 @@ def response(design: dict[str, float], pressure: Array) -> Array:
         pull[layer] = 0.6 * strength * d["balloon_width"] * stress
     lower, gap, upper = d["lower_thickness"], d["cavity_height"], d["upper_thickness"]
     solid = 2 * d["rim"] + (d["divisions_y"] - 1) * d["wall"]
-    width = d["balloon_width"] + solid
-    soft = solid + d["balloon_width"] / (1 + rise["upper"] / wide)
+    soft = {k: solid + d["balloon_width"] / (1 + w / wide) for k, w in rise.items()}
     parts = (
-        (d["lower_modulus"] * width * lower, lower, lower / 2),
-        (d["lower_modulus"] * solid * gap, gap, lower + gap / 2),
-        (d["upper_modulus"] * soft * upper, upper, lower + gap + upper / 2),
+        (d["lower_modulus"] * soft["lower"] * lower, lower, lower / 2),
+        (spacer * solid * gap, gap, lower + gap / 2),
+        (d["upper_modulus"] * soft["upper"] * upper, upper, lower + gap + upper / 2),
     )
     neutral = sum(k * z for k, _, z in parts) / sum(k for k, _, _ in parts)
     stiffness = sum(k * (t * t / 12 + (z - neutral) ** 2) for k, t, z in parts)
@@ -131,7 +134,7 @@ def response(design: dict[str, float], pressure: Array) -> Array:
         angle
     )
     area = d["balloon_length"] * d["balloon_width"]
-    volume = area * (0.53 * rise["upper"] + 0.56 * rise["lower"])
+    volume = 0.55 * area * (rise["upper"] + rise["lower"])
     if "tilt.angle" in d:
         tip, angle = tip + d["tilt.angle"] * span, angle + d["tilt.angle"]
     return np.stack([tip, angle, rise["upper"], rise["lower"], volume], axis=1)

@@ -83,7 +83,7 @@ def test_json(ensemble: Ensemble, dataset: Dataset) -> None:
 
 def test_a_worse_model_reads_worse(ensemble: Ensemble, dataset: Dataset) -> None:
     base = ensemble.expansion.base
-    off = replace(ensemble, expansion=replace(ensemble.expansion, base=1.2 * base))
+    off = replace(ensemble, expansion=replace(ensemble.expansion, base=1.5 * base))
     good, bad = accuracy(ensemble, dataset), accuracy(off, dataset)
     for name, error in good.outputs.items():
         assert bad.outputs[name].rmse > error.rmse

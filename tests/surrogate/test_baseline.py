@@ -58,6 +58,7 @@ def test_section_of_two_layers() -> None:
         "cavity_height": np.array([0.0]),
         "upper_thickness": np.array([t2]),
         "lower_modulus": np.array([e1]),
+        "spacer_modulus": np.array([e1]),
         "upper_modulus": np.array([e2]),
     }
     found = section(columns)

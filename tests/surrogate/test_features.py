@@ -11,12 +11,14 @@ from datagen.space import Parameter, Space
 from surrogate.features import (
     GROUPS,
     TERMS,
+    TURNED_OVER,
     columns_of,
     effect_inputs,
     features,
     groups,
     prepare,
     term_owners,
+    turned_over,
 )
 
 MODULI = ("upper_modulus", "lower_modulus")
@@ -110,6 +112,34 @@ def test_effects_bring_their_parameters_and_a_term_without_pressure() -> None:
         terms = found.terms[..., owner == o]
         assert (terms[..., -1] > 0).all()
         assert (terms[..., :-1] == 0).all()
+
+
+def test_a_strip_turned_over() -> None:
+    """Closed forms know up from down by nothing but the spacer's material."""
+    columns = sample()
+    columns["spacer_modulus"] = np.sqrt(
+        columns["upper_modulus"] * columns["lower_modulus"]
+    )
+    over = turned_over(columns) | {"spacer_modulus": columns["spacer_modulus"]}
+    p = np.linspace(1e3, 1e5, 4) * np.ones((40, 1))
+    own, twin = (prepare(c, DESIGN_SPACE) for c in (columns, over))
+    np.testing.assert_allclose(twin.limit_scale, own.limit_scale)
+    ours, theirs = (features(x, p, own.limit_scale).terms for x in (own, twin))
+    owner = term_owners(effects=False)
+    names = [term for terms in TERMS.values() for term in terms]
+    opposite = {"roof": "floor", "floor": "roof"}
+    for k, name in enumerate(names):
+        side, _, kind = name.partition(" ")
+        output, sign = TURNED_OVER[OUTPUT_NAMES[owner[k]]]
+        twin_name = f"{opposite[side]} {kind}" if side in opposite else name
+        j = next(
+            i
+            for i, other in enumerate(names)
+            if other == twin_name and OUTPUT_NAMES[owner[i]] == output
+        )
+        # The plain thrust term has no side: its weight takes the sign.
+        factor = 1.0 if name == "thrust" else sign
+        np.testing.assert_allclose(theirs[..., k], factor * ours[..., j], rtol=1e-9)
 
 
 def test_some_designs_alone() -> None:

@@ -18,7 +18,7 @@ from surrogate.network import FitSettings, Rows, fit, one_thread
 from surrogate.split import is_test
 from surrogate.train import TrainSettings, train
 from tests.surrogate.conftest import QUICK
-from tests.surrogate.synthetic import synthetic
+from tests.surrogate.synthetic import response, synthetic
 
 TINY = TrainSettings(
     folds=3,
@@ -155,14 +155,32 @@ def test_scale_floor(dataset: Dataset) -> None:
     """A path along which the terms cancel is not divided by next to nothing."""
     rows = np.arange(20)
     data = dataset.subset(rows)
-    values = data.values.copy()
-    values[0, :, 0] *= 1e-9
-    flat = replace(data, values=values)
+    converged = data.status == 0
+    values = np.where(converged[..., None], data.values, 0.0)
     own = prepare(columns_of(data.variables, data.inputs), data.space)
-    pressure = np.where(data.status == 0, data.pressure, 0.0)
+    pressure = np.where(converged, data.pressure, 0.0)
     terms = features(own, pressure, own.limit_scale).terms
     owner = term_owners(effects=False)
+    flat = values.copy()
+    flat[0, :, 0] *= 1e-9
     scale = training.path_scale(flat, terms, owner)
     largest = np.abs(terms[0][:, owner == 0]).max()
     assert scale[0, 0] == pytest.approx(training.SCALE_FLOOR * largest)
-    assert scale[1, 2] == np.nanmax(np.abs(data.values[1, :, 2]))
+    assert scale[1, 2] == np.abs(values[1, :, 2]).max()
+
+
+def test_mirror_images_of_designs_are_shown_too(small: Dataset) -> None:
+    """The views' outputs are those of the strip with its layers exchanged."""
+    plain, over = training._views(small)
+    for i in (0, 7):
+        design = dict(zip(small.variables, map(float, small.inputs[i]), strict=True))
+        for kind in ("thickness", "modulus"):
+            pair = (f"upper_{kind}", f"lower_{kind}")
+            design[pair[0]], design[pair[1]] = design[pair[1]], design[pair[0]]
+        spacer = float(small.inputs[i, small.variables.index("lower_modulus")])
+        steps = small.steps(i)
+        exact = response(design, small.pressure[i, :steps], spacer)
+        np.testing.assert_allclose(over.values[i, :steps], exact, rtol=1e-9)
+        assert over.prepared.columns["spacer_modulus"][i] == spacer
+        assert plain.prepared.columns["spacer_modulus"][i] == spacer
+    assert len(training._views(replace(small, effects=("self_weight",)))) == 1
