@@ -114,7 +114,8 @@ class Design:
             whole = parameter.scale == "integer"
             object.__setattr__(self, parameter.name, int(value) if whole else value)
         end = self.balloon_start + self.span_x
-        if self.tip_margin < LIMITS["wall"].lower:
+        least = LIMITS["wall"].lower * (1 - 1e-9)  # slack for unit conversion
+        if self.tip_margin < least:
             raise InputError(
                 "length_mm",
                 self.length / MM,
@@ -122,7 +123,7 @@ class Design:
                 f"at {end / MM:g} mm (balloon_start + balloon_length + walls)",
                 "mm",
             )
-        if self.rim < LIMITS["wall"].lower:
+        if self.rim < least:
             raise InputError(
                 "width_mm",
                 self.width / MM,

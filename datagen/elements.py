@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -126,7 +127,7 @@ def deformation(x: Array, cells: Array, gradient: Array, inverse: Array) -> Arra
 
 
 @njit(cache=True, fastmath=True)
-def _cofactor(a: Array, c: Array) -> float:
+def _cofactor(a: Array, c: Array) -> Any:
     """Cofactor matrix of `a` (9,) into `c`, and the determinant."""
     c[0] = a[4] * a[8] - a[5] * a[7]
     c[1] = a[5] * a[6] - a[3] * a[8]

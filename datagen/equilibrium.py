@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from . import elements as el
-from .linear import BACKENDS, Solver, default_backend
+from .linear import Solver, default_backend, make_solver
 from .mesh import LOWER, UPPER, reference
 from .problem import Problem
 
@@ -195,8 +195,8 @@ class Workspace:
         """A solver for the problem's pattern, analysed once."""
         pattern, solvers = self.pattern(problem)
         if definite not in solvers:
-            solvers[definite] = BACKENDS[self.backend](
-                pattern.indptr, pattern.indices, definite, self.threads
+            solvers[definite] = make_solver(
+                self.backend, pattern.indptr, pattern.indices, definite, self.threads
             )
         return solvers[definite]
 
@@ -264,7 +264,8 @@ class Equilibrium:
 
     def restrict(self, field: Array) -> Array:
         """Unknowns (k,) of a nodal field (n, 3)."""
-        return field[self.pattern.free[:, 0], self.pattern.free[:, 1]]
+        unknowns: Array = field[self.pattern.free[:, 0], self.pattern.free[:, 1]]
+        return unknowns
 
     def extend(self, unknowns: Array) -> Array:
         """Nodal field (n, 3) of unknowns (k,), zero where held."""

@@ -10,14 +10,14 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from .dataset import Dataset, space_to_json
 from .device import DESIGN_SPACE, MAX_PRESSURE
-from .errors import EffectError, GenerationError, InputError, Interrupted
+from .errors import GenerationError, InputError, Interrupted
 from .parts import Manifest, Parts, inputs_digest, parts_folder, refusal
 from .pool import DaskPool, Failure, GivenExecutor, Pool, ProcessPool, solve_tasks
 from .space import Space
@@ -61,21 +61,11 @@ def sampled_space(effects: Sequence[str] = ()) -> Space:
     """
     if not effects:
         return DESIGN_SPACE
-    from .effects import catalogue
-
-    known = catalogue()
-    for name in effects:
-        if name not in known:
-            allowed = ", ".join(sorted(known))
-            raise EffectError(f"effect: {name!r} is unknown; allowed: {allowed}")
     if len(set(effects)) < len(effects):
         raise InputError("effects", ", ".join(effects), "each effect once")
-    further = (
-        replace(parameter, name=f"{name}.{parameter.name}")
-        for name in effects
-        for parameter in known[name].parameters
-    )
-    return Space((*DESIGN_SPACE, *further))
+    from .model import Model
+
+    return Model(effects=tuple(effects)).space
 
 
 def generate(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from importlib import metadata
@@ -18,6 +18,8 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import csr_matrix, triu
 from scipy.sparse.linalg import splu
+
+from .errors import InputError
 
 Array = np.ndarray
 
@@ -202,7 +204,29 @@ class SuperLU:
         return np.asarray(self._factor.solve(rhs))
 
 
-BACKENDS = {"pardiso": Pardiso, "superlu": SuperLU}
+BACKENDS: dict[str, Callable[[Array, Array, bool, int], Solver]] = {
+    "pardiso": Pardiso,
+    "superlu": SuperLU,
+}
+
+
+def make_solver(
+    backend: str,
+    indptr: Array,
+    indices: Array,
+    definite: bool = True,
+    threads: int = 1,
+) -> Solver:
+    """A solver of the named backend for one pattern.
+
+    Raises
+    ------
+    InputError
+        When the backend is unknown.
+    """
+    if backend not in BACKENDS:
+        raise InputError("backend", backend, ", ".join(BACKENDS))
+    return BACKENDS[backend](indptr, indices, definite, threads)
 
 
 def default_backend() -> str:

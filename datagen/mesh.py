@@ -119,7 +119,9 @@ def graded(start: float, stop: float, count: int, first: float) -> Array:
 
     ratio = brentq(excess, 1.0, (length / first) ** (1 / (count - 1)) + 1e-9)
     lines = np.concatenate([[0.0], np.cumsum(first * ratio ** np.arange(count))])
-    return start + np.sign(stop - start) * lines * (length / lines[-1])
+    sign = 1.0 if stop > start else -1.0
+    grid: Array = start + sign * lines * (length / lines[-1])
+    return grid
 
 
 def _join(*pieces: Array) -> Array:
@@ -277,7 +279,8 @@ def _face_nodes(axis: int, side: int) -> Array:
         face = face.T  # now (first, second), whose cross product is +axis
     if side == 1:  # the solid lies on the minus side of its plus face
         face = face.T
-    return face.reshape(-1)
+    flat: Array = face.reshape(-1)
+    return flat
 
 
 def _inside(centres: Array, intervals: Sequence[tuple[float, float]]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
 
@@ -18,7 +18,7 @@ from .mesh import mesh_level
 from .problem import STAGES, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
 from .solver import solve
-from .space import Parameter, Space
+from .space import Space
 
 Array = np.ndarray
 
@@ -90,18 +90,9 @@ class Model:
     def space(self) -> Space:
         """Design variables, and ``effect.parameter`` of each active effect."""
         more = tuple(
-            Parameter(
-                f"{e.name}_{p.name}",
-                p.unit,
-                p.lower,
-                p.upper,
-                p.scale,
-                p.off,
-                p.prior,
-                p.source,
-            )
-            for e in self.active
-            for p in e.parameters
+            replace(parameter, name=f"{one.name}.{parameter.name}")
+            for one in self.active
+            for parameter in one.parameters
         )
         return Space(DESIGN_SPACE.parameters + more)
 
@@ -183,7 +174,8 @@ def stack(responses: Sequence[Response]) -> Response:
 
     def pad(array: Array, fill: object) -> Array:
         widths = [(0, 0), (0, steps - array.shape[1])] + [(0, 0)] * (array.ndim - 2)
-        return np.pad(array, widths, constant_values=fill)  # type: ignore[call-overload]
+        padded: Array = np.pad(array, widths, constant_values=fill)  # type: ignore[call-overload]
+        return padded
 
     return Response(
         outputs=responses[0].outputs,

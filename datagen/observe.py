@@ -122,7 +122,8 @@ def observe(problem: Problem, x: Array, volume_change: float) -> Array:
     mesh, nodes, design = problem.mesh, problem.nodes, problem.design
 
     def plane(field: Array, name: str) -> Array:
-        return field[mesh.lines[name]][:, [0, 2]]
+        rows: Array = field[mesh.lines[name]]
+        return rows[:, [0, 2]]
 
     def rise(name: str, side: float) -> float:
         deformed = _rise(plane(x, f"{name}_edge"), plane(x, f"{name}_middle"), side)

@@ -113,7 +113,10 @@ class Ensemble:
         self, parameters: Mapping[str, Mapping[str, float]]
     ) -> Ensemble:
         """The same model with its effects' parameters at other values, SI."""
-        return replace(self, parameters=parameters)
+        other = replace(self, parameters=parameters)
+        # The version does not depend on them, and costs more than a prediction.
+        other.__dict__["version"] = self.version
+        return other
 
     def __call__(
         self, designs: Sequence[Design], paths: Sequence[LoadPath]

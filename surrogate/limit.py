@@ -8,7 +8,7 @@ the limit pressure over the closed-form scale `Prepared.limit_scale`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -81,18 +81,17 @@ class LimitModel:
         answers = self.stack(prepared.inputs)
         if members is not None:
             answers = answers[members, np.arange(len(prepared))]
-        mean, noise = answers[..., 0], np.exp(_bounded(answers[..., 1]))
+        mean, noise = answers[..., 0], np.exp(_log_noise(answers[..., 1], np.tanh))
         variance = mean.var(axis=0) + (noise**2).mean(axis=0)
         middle = prepared.limit_scale * np.exp(self.shift + mean.mean(axis=0))
         return Limit(middle, np.sqrt(variance))
 
 
-def _bounded(value: Any) -> Any:
+def _log_noise(value: Any, tanh: Callable[[Any], Any]) -> Any:
     """Logarithm of the deviation, held between 0.2 % and 60 %.
 
-    Smooth, so that no member is stuck at a bound.
+    Smooth, so that no member is stuck at a bound; for arrays and for tensors.
     """
-    tanh = np.tanh if isinstance(value, np.ndarray) else type(value).tanh
     return -3.4 + 2.9 * tanh(value / 2.9)
 
 
@@ -111,7 +110,7 @@ def tobit_loss(
     """
     import torch
 
-    log_noise = _bounded(answers[..., 1])
+    log_noise = _log_noise(answers[..., 1], torch.tanh)
     z = (target - answers[..., 0]) * torch.exp(-log_noise)
     met = 0.5 * z**2 + log_noise
     return torch.where(censored, -torch.special.log_ndtr(-z), met)

@@ -87,20 +87,20 @@ class FitSettings:
     rate : float
         Largest learning rate (Adam with decoupled weight decay, cosine schedule).
     decay : float
-        Weight decay.
+        Weight decay; strong by usual standards, as designs are few.
     check_every : int
         Steps between two looks at the held-out loss.
     patience : int
         Looks without a better held-out loss before training stops.
     """
 
-    hidden: tuple[int, ...] = (64, 64)
-    steps: int = 4000
-    batch: int = 1024
-    rate: float = 4e-3
-    decay: float = 0.05
+    hidden: tuple[int, ...] = (96, 96)
+    steps: int = 2000
+    batch: int = 512
+    rate: float = 1e-2
+    decay: float = 1.0
     check_every: int = 100
-    patience: int = 12
+    patience: int = 10
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ def test_a_users_file_goes_through_the_same_door(tmp_path: FilePath) -> None:
 
 def test_bad_user_files_are_named_in_one_line(tmp_path: FilePath) -> None:
     file = tmp_path / "mine.py"
-    file.write_text("this is not python")
+    file.write_text("def broken(:")
     with pytest.raises(EffectError, match=r"mine\.py: SyntaxError"):
         catalogue(tmp_path)
     file.write_text(USER_FILE.replace("gauge_offset", "self_weight"))

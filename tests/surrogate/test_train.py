@@ -107,7 +107,12 @@ def test_stops_early_and_keeps_the_best() -> None:
         return (answers[..., 0] - y[picked]) ** 2
 
     settings = FitSettings(
-        hidden=(64,), steps=5000, batch=64, rate=1e-2, check_every=10, patience=5
+        hidden=(64,),
+        steps=5000,
+        batch=64,
+        decay=0.0,
+        check_every=10,
+        patience=5,
     )
     with one_thread():
         stack, report = fit(
