@@ -325,7 +325,7 @@ class Equilibrium:
         )
         bulk = self.problem.bulk_modulus
         force, element_pressure = el.internal_force(
-            f, stress, bulk, len(x), mesh.cells, *arrays
+            f, stress, bulk, el.LOCAL_SHARE, len(x), mesh.cells, *arrays
         )
         volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
         normal = self.restrict(gradient)
@@ -334,7 +334,14 @@ class Equilibrium:
         if tangent:
             values = np.zeros(len(self.pattern.indices))
             el.add_stiffness(
-                values, self.pattern.of_cells, f, slope, element_pressure, bulk, *arrays
+                values,
+                self.pattern.of_cells,
+                f,
+                slope,
+                element_pressure,
+                bulk,
+                el.LOCAL_SHARE,
+                *arrays,
             )
             el.add_load_stiffness(
                 values,
