@@ -3,8 +3,9 @@
 PYTHON    ?= python3
 VENV      ?= .venv
 PORT      ?= 8000
-DESIGNS   ?= 400
+DESIGNS   ?= 304
 SEED      ?= 1
+LEVEL     ?= draft
 WORKERS   ?= $(shell nproc 2>/dev/null || echo 2)
 
 BIN       := $(VENV)/bin
@@ -45,7 +46,8 @@ figures: $(TESTABLE) ## draw the pictures of the README again
 # stopped, never leaves half a model in the package.
 reference: $(INSTALLED) ## generate the reference dataset and train its model (hours)
 	mkdir -p $(REFERENCE)
-	$(BIN)/pba generate --designs $(DESIGNS) --seed $(SEED) --workers $(WORKERS) \
+	$(BIN)/pba generate --designs $(DESIGNS) --seed $(SEED) --level $(LEVEL) \
+	    --workers $(WORKERS) \
 	    --out $(REFERENCE)/dataset.h5 --resume
 	$(BIN)/pba train $(REFERENCE)/dataset.h5 --out $(REFERENCE)/model
 	mkdir -p surrogate/reference

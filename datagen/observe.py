@@ -92,7 +92,7 @@ def _tip_angle(mesh: StripMesh, nodes: Array, x: Array, start: float) -> float:
     """
     row = mesh.lines["bottom"]
     reference, _, _ = _curve(nodes[row][:, [0, 2]])
-    deformed, _, _ = _curve(x[row][:, [0, 2]])
+    deformed, slope, _ = _curve(x[row][:, [0, 2]])
     along = reference[:, 0]
     # Evenly spread over the fitted stretch, so that the mesh's grading has no say.
     spots = np.linspace(start, along[-1], 41)
@@ -101,7 +101,11 @@ def _tip_angle(mesh: StripMesh, nodes: Array, x: Array, start: float) -> float:
     direction = np.linalg.svd(centred, full_matrices=False)[2][0]
     if direction @ (points[-1] - points[0]) < 0:
         direction = -direction
-    return float(np.arctan2(direction[1], direction[0]))
+    angle = float(np.arctan2(direction[1], direction[0]))
+    # Beyond half a turn the line alone does not tell; the turns of the strip do.
+    turned = np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))
+    mean = float(np.interp(spots, along, turned).mean())
+    return angle + 2 * np.pi * round((mean - angle) / (2 * np.pi))
 
 
 def observe(problem: Problem, x: Array, volume_change: float) -> Array:

@@ -1,0 +1,64 @@
+"""The shipped dataset and model: regenerable, and what they say they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from datagen.dataset import Dataset
+from datagen.device import DESIGN_SPACE
+from datagen.model import GENERATOR_VERSION, Model
+from datagen.response import Path
+from datagen.worker import PROPER_ENDS
+from surrogate.ensemble import REFERENCE, reference_model
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    return Dataset.read(REFERENCE / "dataset.h5")
+
+
+def test_dataset_is_of_this_generator(data: Dataset) -> None:
+    assert data.generator_version == GENERATOR_VERSION
+    assert data.space == DESIGN_SPACE
+    assert len(data) >= 300
+    assert np.array_equal(data.inputs, DESIGN_SPACE.sample(len(data), data.seed))
+
+
+def test_nearly_every_path_went_as_far_as_it_can(data: Dataset) -> None:
+    proper = [status in PROPER_ENDS for status in data.path_status]
+    assert np.mean(proper) >= 0.97
+    for row, ended in enumerate(proper):
+        assert ended or data.message[row]
+        if data.path_status[row] == "completed":
+            last = data.pressure[row, data.steps(row) - 1]
+            assert last == pytest.approx(data.max_pressure)
+        if data.path_status[row] == "limit_point":
+            top = np.nanmax(data.pressure[row])
+            assert top == pytest.approx(data.limit_pressure[row], rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_rows_are_found_again(data: Dataset, seed: int) -> None:
+    """A row drawn at random, solved again to a third and two thirds of its way."""
+    rng = np.random.default_rng(seed)
+    small = [r for r in range(len(data)) if data.design(r).divisions_x <= 4]
+    row = int(rng.choice(small))
+    steps = data.steps(row)
+    assert steps > 3
+    chosen = [steps // 3, 2 * steps // 3]
+    pressure = data.pressure[row, chosen]
+    with threadpool_limits(1):
+        again = Model(level=data.level)([data.design(row)], [Path(pressure)])
+    assert again.path_status == ("completed",), again.message
+    scale = np.nanmax(np.abs(data.values[row]), axis=0)
+    error = np.abs(again.values[0] - data.values[row, chosen]) / scale
+    assert error.max() < 1e-6
+
+
+def test_model_was_trained_on_this_dataset(data: Dataset) -> None:
+    model = reference_model()
+    assert data.digest() in str(model.description)
+    size = sum(file.stat().st_size for file in REFERENCE.iterdir())
+    assert size < 8e6
