@@ -24,6 +24,10 @@ from .errors import InputError
 Array = np.ndarray
 
 
+_MKL_CBWR_AUTO = 2
+"""MKL's conditional numerical reproducibility, with the best code for the machine."""
+
+
 class NotDefinite(ArithmeticError):
     """The matrix is not positive definite, or is singular."""
 
@@ -64,7 +68,11 @@ def mkl_library() -> ctypes.CDLL | None:
     """MKL's runtime library, or None where no wheel of it is installed."""
     for candidate in _candidates():
         with suppress(OSError):
-            return ctypes.CDLL(candidate)
+            library = ctypes.CDLL(candidate)
+            # The same bits in every run, wherever the arrays happen to lie: a resumed
+            # dataset equals an uninterrupted one.
+            library.MKL_CBWR_Set(_MKL_CBWR_AUTO)
+            return library
     return None
 
 

@@ -36,16 +36,19 @@ def soft() -> Design:
 
 
 def test_s1_case_1_at_the_standard_mesh() -> None:
-    """Converged values lie between the rows of two element families."""
+    """Against the fine mesh, which lies between two converging element families.
+
+    fine : 53475 unknowns, by the same command with ``--level fine``.
+    """
     pressure = np.array([10, 20, 30, 40, 50, 60]) * KPA
     response = Model()([named_device("S1", 1)], [Path(pressure)])
     assert response.path_status == ("completed",)
     tip = response.output("tip_deflection")[0] / UM
     inflation = response.output("inflation")[0] / UM
-    settled = np.array([21.2, 23.5, 18.1, 11.0, 2.2, -9.3])
-    assert np.abs(tip - settled).max() < 0.05 * 24
-    roof = np.array([113.4, 171.9, 209.1, 235.5, 255.6, 272.2])
-    assert np.abs(inflation / roof - 1).max() < 0.01
+    fine_tip = np.array([21.21, 23.72, 18.31, 11.23, 2.52, -9.05])
+    fine_roof = np.array([113.34, 171.81, 208.98, 235.39, 255.65, 272.17])
+    assert np.abs(tip - fine_tip).max() < 0.02 * fine_tip.max()
+    assert np.abs(inflation - fine_roof).max() < 0.005 * fine_roof.max()
 
 
 def test_all_cases_tip_up_at_low_pressure_and_as_published_at_high(

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
@@ -19,20 +17,13 @@ from datagen.model import Model
 from datagen.response import OUTPUT_NAMES
 from datagen.response import Path as LoadPath
 from datagen.units import BY_FIELD
-from service.answer import load_model, surrogate_answer
 from service.app import Settings, create_app
 from service.cli import main
-from surrogate.ensemble import REFERENCE
 from tests.service.fakes import FakeSurrogate
 from tests.service.test_jobs import until
 
 KPA = [5.0, 20.0]
 OUTSIDE = {"device": "S1", "case": 1, "upper_thickness_um": 400}
-
-shipped = pytest.mark.skipif(
-    not (REFERENCE / "model.json").exists() and os.environ.get("CI") != "true",
-    reason=f"no reference model in {REFERENCE.name}; `make reference` builds it",
-)
 
 
 @pytest.fixture(scope="module")
@@ -153,32 +144,3 @@ def test_an_unknown_effect_starts_no_dataset(client: TestClient) -> None:
     error = client.post("/v1/datasets", json=body).json()["error"]
     assert error["field"] == "effects"
     assert "self_weight" in error["allowed"]
-
-
-@shipped
-@pytest.mark.parametrize("case", [1, 2, 3, 4])
-def test_library_command_and_service_agree(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, case: int
-) -> None:
-    kpa = [0.0, 10.0, 20.0, 60.0]
-    model, design = load_model(None), named_device("S1", case)
-    pressure = np.array(kpa) * 1e3
-    library = surrogate_answer(model, design, pressure, model.check(design, pressure))
-    assert library.in_range, library.reasons
-    text = ",".join(map(str, kpa))
-    command = run(capsys, "predict", "--case", str(case), "--pressures", text)
-    assert command == json.loads(json.dumps(library.to_columns()))
-    body = {"design": {"device": "S1", "case": case}, "pressure_kPa": kpa}
-    with TestClient(create_app(Settings(tmp_path / "state"))) as client:
-        answer: httpx.Response = client.post("/v1/predict", json=body)
-    assert answer.json() == library.to_dict()
-    assert answer.json()["tip_deflection_mm"]["value"][2] > 0  # all cases, at 20 kPa
-
-
-@shipped
-def test_the_shipped_model_starts_quickly_and_says_what_it_is(tmp_path: Path) -> None:
-    with TestClient(create_app(Settings(tmp_path / "state"))) as client:
-        (model,) = client.get("/v1/models").json()["models"]
-    assert model["name"] == "reference"
-    assert model["version"] == load_model(None).version
-    assert model["description"]["n_train"] >= 200
