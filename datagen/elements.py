@@ -34,8 +34,8 @@ The isochoric energy does not feel J, so nothing but the projection resists a ch
 volume that is neither constant nor linear in an element.  At large strain such modes
 collapse in flat elements beside the balloons' edges: J fell to 0.58 on S1 at 60 kPa on
 a fine mesh, and paths of thin roofs were lost.  With a = 0.02 (half a shear modulus at
-nu = 0.48) both are cured, and the answer on the standard mesh moves by less than its
-own error; on refinement the share makes no difference.
+nu = 0.48) the cases seen then were cured, and the answer on the standard mesh moves by
+less than its own error; on refinement the share makes no difference.
 """
 
 
