@@ -44,7 +44,7 @@ figures: $(TESTABLE) ## draw the pictures of the README again
 
 # Built aside and copied when complete: an interrupted run, which goes on where it
 # stopped, never leaves half a model in the package.
-reference: $(INSTALLED) ## generate the reference dataset and train its model (hours)
+reference: $(INSTALLED) ## generate the reference dataset and train its model
 	mkdir -p $(REFERENCE)
 	$(BIN)/pba generate --designs $(DESIGNS) --seed $(SEED) --level $(LEVEL) \
 	    --workers $(WORKERS) \
