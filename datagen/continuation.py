@@ -1,12 +1,16 @@
 """Path following: equilibria of one problem under growing, falling or turning pressure.
 
-The cavity volume V is the continuation parameter: it grows steadily along the path,
-also past a limit point, where the pressure turns (Riks 1979; here with V in place of
-the arc length, as the pressure's work-conjugate).  Wanted pressures are hit exactly, by
-a corrector at fixed pressure; all other steps are corrected at fixed volume by a
-bordered system.
+The arc length of the displacements is the continuation parameter, so that the path may
+turn in pressure, in cavity volume or in both.  Wanted pressures are hit exactly, by a
+corrector at fixed pressure; all other steps are corrected in the plane across the path
+by a bordered system (Riks 1979).
 
-Predictor: cubic Hermite extrapolation in V of the last two points and their tangents.
+Predictor: cubic Hermite extrapolation of the last two points and their tangents; the
+stress is extrapolated by itself.  A membrane's stress at extrapolated positions is far
+off, as it magnifies their error by its stiffness; with that of the last points in the
+tangent's geometric part the factorisation at the prediction serves the whole step
+(the idea is that of the mixed integration point Newton of Magisano, Leonetti and
+Garcea 2017).
 Corrector: Newton's method that keeps its factorisation while the contraction is good.
 """
 
@@ -49,6 +53,8 @@ class Options:
     tangent_tolerance : float
         Relative error of the path's tangent, in displacement.
     tangent_iterations : int
+    node_share : float
+        Of every node's movement in the length of a step.
     first_step : float
         Displacement of the first step over the thinner membrane.
     smallest_step : float
@@ -65,10 +71,11 @@ class Options:
     patience: int = 6
     memory: int = 6
     factorisations: int = 4
-    predictor_error: float = 0.03
-    largest_error: float = 0.15
+    predictor_error: float = 0.1
+    largest_error: float = 0.4
     tangent_tolerance: float = 1e-4
     tangent_iterations: int = 12
+    node_share: float = 0.03
     first_step: float = 0.12
     smallest_step: float = 1e-4
     largest_growth: float = 3.0
@@ -80,15 +87,19 @@ class Point:
     """One equilibrium and the path's direction there.
 
     x : (n, 3) array, m; deformed nodes.  pressure : Pa, in the cavity.
-    volume : m3.  x_slope : (n, 3) array, dx/dV.  pressure_slope : Pa/m3, dp/dV.
+    volume : m3.  direction : (n, 3) array, dx/ds of the path's length s.
+    normal : (n, 3) array; ds/dx.  slope : Pa/m, dp/ds.
+    stress : (27 e, 6) array, Pa; second Piola-Kirchhoff, at the quadrature points.
     negative : int; negative eigenvalues of the tangent, 0 where stable.
     """
 
     x: Array
     pressure: float
     volume: float
-    x_slope: Array
-    pressure_slope: float
+    direction: Array
+    normal: Array
+    slope: float
+    stress: Array
     negative: int = 0
 
 
@@ -160,22 +171,73 @@ class Counters:
     rejected: int = 0
 
 
-def _hermite(t: float, a: Point, b: Point) -> tuple[Array, float]:
-    """Cubic through two points and their slopes at V = a + t (b - a)."""
-    width = b.volume - a.volume
-    h00 = (1 + 2 * t) * (1 - t) ** 2
-    h10, h11 = width * t * (1 - t) ** 2, width * t * t * (t - 1)
-    # From b, as h00 + h01 = 1: held displacements then stay held to the last bit.
-    # Extrapolation would multiply their rounding errors in every step, and nothing
-    # corrects them.
-    x = b.x + h00 * (a.x - b.x) + h10 * a.x_slope + h11 * b.x_slope
-    p = (
-        b.pressure
-        + h00 * (a.pressure - b.pressure)
-        + h10 * a.pressure_slope
-        + h11 * b.pressure_slope
-    )
-    return x, p
+class _Chart:
+    """A straight coordinate s = normal . (x - here.x) of the path near two points.
+
+    Parameters
+    ----------
+    here : Point
+        s = 0, and there s is the arc length.
+    before : Point, optional
+        Another point of the path; without it the chart follows the tangent.
+    normal : (n, 3) array, optional
+        Direction in which s grows; the path's own at `here` by default.
+    """
+
+    def __init__(
+        self, here: Point, before: Point | None = None, normal: Array | None = None
+    ) -> None:
+        normal = here.normal if normal is None else normal
+        self.normal = normal / np.vdot(normal, here.direction)
+        self.here, self.before = here, before
+        if before is not None:
+            self.start = self.measure(before.x)
+            self.rate = float(np.vdot(self.normal, before.direction))
+            if self.rate < 0.3 or self.start == 0:
+                self.before = None  # the path has turned: two points say little
+
+    def measure(self, x: Array) -> float:
+        """Coordinate of nodes (n, 3), m."""
+        return float(np.vdot(self.normal, x - self.here.x))
+
+    def at(self, s: float) -> tuple[Array, float]:
+        """Nodes and pressure expected at a coordinate."""
+        b, a = self.here, self.before
+        if a is None:
+            return b.x + s * b.direction, b.pressure + s * b.slope
+        width = -self.start
+        t = 1 + s / width
+        h00 = (1 + 2 * t) * (1 - t) ** 2
+        h10, h11 = width * t * (1 - t) ** 2 / self.rate, width * t * t * (t - 1)
+        # From b, as h00 + h01 = 1: held displacements then stay held to the last bit.
+        # Extrapolation would multiply their rounding errors in every step, and nothing
+        # corrects them.
+        x = b.x + h00 * (a.x - b.x) + h10 * a.direction + h11 * b.direction
+        p = b.pressure + h00 * (a.pressure - b.pressure) + h10 * a.slope + h11 * b.slope
+        return x, p
+
+    def reach(self, pressure: float, furthest: float) -> float | None:
+        """Coordinate up to `furthest` where `pressure` is expected, or None."""
+        share = np.linspace(0.0, 1.0, 41)
+        ahead = np.array([self.at(furthest * t)[1] for t in share])
+        side = np.sign(pressure - self.here.pressure)
+        beyond = np.nonzero(side * (ahead - pressure) >= 0)[0]
+        if len(beyond) == 0 or beyond[0] == 0:
+            return None
+        k = int(beyond[0])
+        inner = (pressure - ahead[k - 1]) / (ahead[k] - ahead[k - 1])
+        return furthest * float(share[k - 1] + inner * (share[k] - share[k - 1]))
+
+    def turning(self) -> float:
+        """Coordinate between the two points where the cubic p(s) has zero slope."""
+        a, b = self.before, self.here
+        assert a is not None
+        m0, m1 = -self.start * a.slope / self.rate, -self.start * b.slope
+        rise = b.pressure - a.pressure
+        # p'(t) = m0 + t (6 rise - 4 m0 - 2 m1) + t^2 (3 m0 + 3 m1 - 6 rise)
+        roots = np.roots([3 * m0 + 3 * m1 - 6 * rise, 6 * rise - 4 * m0 - 2 * m1, m0])
+        inside = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 < r.real < 1]
+        return self.start * (1 - (inside[0] if inside else m0 / (m0 - m1)))
 
 
 class PathFollower:
@@ -207,9 +269,19 @@ class PathFollower:
         self._tolerance = self.options.tolerance * design.thickness
         self._definite = True
         self._before: Point | None = None
+        self._heading = 1.0
+        faces = problem.mesh.cavity_faces[:, [0, 2, 8, 6]]
+        one, two = (
+            problem.nodes[faces[:, i]] - problem.nodes[faces[:, j]]
+            for i, j in ((2, 0), (3, 1))
+        )
+        self._area = float(np.linalg.norm(np.cross(one, two), axis=1).sum() / 2)
+        self.point: Point = None  # type: ignore[assignment]  # the start needs to know
         self.point = self._start()
+        self._last = [self.point]
         self.first_volume = self.equations.evaluate(problem.nodes, 0.0).volume
-        self._step = self.options.first_step * self._thin / self._speed(self.point)
+        first = self.options.first_step * self._thin
+        self._step = first / _largest(self.point.direction)
         self._smallest = self.options.smallest_step * self._step
 
     # -- linear algebra ------------------------------------------------------------
@@ -232,11 +304,16 @@ class PathFollower:
             raise StepFailed("step_too_small", "the tangent is singular") from error
 
     def _evaluate(
-        self, x: Array, pressure: float, dt: float, tangent: bool
+        self,
+        x: Array,
+        pressure: float,
+        dt: float,
+        tangent: bool,
+        expected: Array | None = None,
     ) -> Evaluation:
         """Evaluate the equations; an inverted element fails the step."""
         try:
-            return self.equations.evaluate(x, pressure, dt, tangent)
+            return self.equations.evaluate(x, pressure, dt, tangent, expected)
         except InvertedElement as error:
             place = self.equations.where(error.element)
             raise StepFailed(
@@ -244,9 +321,25 @@ class PathFollower:
             ) from error
 
     def _correct(
-        self, x: Array, pressure: float, volume: float | None, dt: float
+        self,
+        x: Array,
+        pressure: float,
+        dt: float,
+        plane: tuple[_Chart, float] | None = None,
+        expected: Array | None = None,
     ) -> Point:
-        """Newton from a prediction, at fixed `volume` or (None) at fixed pressure.
+        """Newton from a prediction, at fixed pressure or at a chart's coordinate.
+
+        Parameters
+        ----------
+        x : (n, 3) array, m
+        pressure : float, Pa
+        dt : float, s
+            Duration of the step, for laws with history.
+        plane : chart and its coordinate, optional
+            Where to stay; the pressure is then free.
+        expected : (27 e, 6) array, Pa, optional
+            Stress expected at the solution, for the tangent.
 
         Raises
         ------
@@ -257,9 +350,10 @@ class PathFollower:
         load = np.zeros(0)
         self._effort = 0
         mixing = _Mixing(options.memory)
+        across = eq.restrict(plane[0].normal) if plane else np.zeros(0)
         for _ in range(options.iterations):
             self.counters.iterations += 1
-            ev = self._evaluate(x, pressure, dt, fresh)
+            ev = self._evaluate(x, pressure, dt, fresh, expected)
             if fresh:
                 self._effort += 1
                 if self._effort > options.factorisations:
@@ -275,9 +369,9 @@ class PathFollower:
                 step = self._solver.solve(-ev.residual)
                 age += 1
             change = 0.0
-            if volume is not None:
-                lack = volume - ev.volume - ev.volume_gradient @ step
-                change = float(lack / (ev.volume_gradient @ load))
+            if plane is not None:
+                lack = plane[1] - plane[0].measure(x) - across @ step
+                change = float(lack / (across @ load))
                 step = step + change * load
             size = float(np.abs(step).max())
             if not np.isfinite(size) or size > 10 * best:
@@ -321,22 +415,29 @@ class PathFollower:
             aim = self._solver.solve(lack)
             if float(np.abs(aim).max()) <= self.options.tangent_tolerance * scale:
                 break
-        compliance = float(ev.volume_gradient @ load)  # dV/dp
         self._pending = ev.history
+        direction = eq.extend(load)
+        # The length of a step: mean movement of the cavity's walls, and a little of
+        # every node's.  All nodes alike would follow the tip, which stands still where
+        # it turns while the balloons grow.
+        walls = eq.extend(ev.volume_gradient) / self._area
+        nodes = self.options.node_share**2 / len(direction)
+        normal = np.vdot(walls, direction) * walls + nodes * direction
+        length = float(np.sqrt(np.vdot(normal, direction)))
+        if self.point is not None and np.vdot(normal, self.point.direction) < 0:
+            length = -length  # past a limit point the path goes on, the pressure falls
         return Point(
             x=x,
             pressure=pressure,
             volume=ev.volume,
-            x_slope=eq.extend(load) / compliance,
-            pressure_slope=1.0 / compliance,
+            direction=direction / length,
+            normal=normal / length,
+            slope=1.0 / length,
+            stress=eq.stress(x, dt),
             negative=self._solver.negative,
         )
 
     # -- the path ------------------------------------------------------------------
-
-    def _speed(self, point: Point) -> float:
-        """Largest displacement a unit of volume, 1/m2."""
-        return float(np.abs(point.x_slope).max())
 
     def _start(self) -> Point:
         """Equilibrium at zero gauge pressure; growth and weight are led in."""
@@ -344,14 +445,14 @@ class PathFollower:
         pressure = problem.pressure_offset
         x, share, step = problem.nodes, 0.0, 0.5
         if not problem.loaded_at_rest:
-            return self._correct(x, pressure, None, 1.0)
+            return self._correct(x, pressure, 1.0)
         known: list[tuple[float, Array]] = [(0.0, x)]
         while share < 1:
             target = min(1.0, share + step)
             eq.set_share(target)
             try:
                 guess = _extrapolate(known[-3:], target)
-                point = self._correct(guess, target * pressure, None, 1.0)
+                point = self._correct(guess, target * pressure, 1.0)
             except StepFailed:
                 self.counters.rejected += 1
                 step = (target - share) / 4
@@ -363,45 +464,28 @@ class PathFollower:
             known.append((share, point.x))
         return point
 
-    def _predict(self, volume: float) -> tuple[Array, float]:
-        """Position and pressure expected at a volume."""
-        here = self.point
-        if self._before is None:
-            ahead = volume - here.volume
-            return (
-                here.x + ahead * here.x_slope,
-                here.pressure + ahead * here.pressure_slope,
-            )
-        t = (volume - self._before.volume) / (here.volume - self._before.volume)
-        return _hermite(t, self._before, here)
+    def _expected_stress(self, chart: _Chart, s: float) -> Array:
+        """Stress at a coordinate, by Lagrange's polynomial through the last points."""
+        where = [chart.measure(point.x) for point in self._last]
+        expected = self._last[-1].stress.copy()
+        for i, point in enumerate(self._last[:-1]):
+            others = [other for j, other in enumerate(where) if j != i]
+            weight = np.prod([(s - other) / (where[i] - other) for other in others])
+            expected += weight * (point.stress - self._last[-1].stress)
+        return expected
 
-    def _volume_at(self, pressure: float, reach: float) -> float | None:
-        """Volume within `reach` at which `pressure` is expected, None for further."""
-        here = self.point
-        share = np.linspace(0.0, 1.0, 41)
-        ahead = np.array([self._predict(here.volume + reach * s)[1] for s in share])
-        side = np.sign(pressure - here.pressure)
-        beyond = np.nonzero(side * (ahead - pressure) >= 0)[0]
-        if len(beyond) == 0 or beyond[0] == 0:
-            return None
-        k = int(beyond[0])
-        inner = (pressure - ahead[k - 1]) / (ahead[k] - ahead[k - 1])
-        return here.volume + reach * float(
-            share[k - 1] + inner * (share[k] - share[k - 1])
-        )
-
-    def _accept(self, point: Point, x_predicted: Array) -> None:
+    def _accept(self, point: Point, x_predicted: Array, moved: float) -> None:
         """Move on to a point and choose the next step from the prediction's error."""
         options = self.options
-        error = float(np.abs(point.x - x_predicted).max()) / self._thin
+        error = _largest(point.x - x_predicted) / self._thin
         order = 2 if self._before is None else 4
         wanted = options.predictor_error / max(error, 1e-12)
-        moved = abs(point.volume - self.point.volume)
         # A corrector that had to factorise again was close to failing.
         growth = options.largest_growth if self._effort == 1 else 1.0
         factor = min(growth, max(0.3, 0.9 * wanted ** (1 / order)))
         self._step = max(moved * factor, 2 * self._smallest)
         self._before, self.point = self.point, point
+        self._last = [*self._last, point][-3:]
         self.equations.history = self._pending
         self._definite = point.negative == 0
         self.counters.steps += 1
@@ -416,58 +500,54 @@ class PathFollower:
         """
         while True:
             here = self.point
-            side = 1.0 if pressure >= here.pressure else -1.0
-            towards = side * np.sign(here.pressure_slope)
-            reach = towards * self._step
-            volume = self._volume_at(pressure, reach)
-            hit = volume is not None
-            if volume is None:
-                volume = here.volume + reach
+            chart = _Chart(here, self._before)
+            furthest = self._heading * self._step
+            s = chart.reach(pressure, furthest)
+            hit = s is not None
+            if s is None:
+                s = furthest
                 # Do not stop just short of the target: share the way evenly.
-                further = self._volume_at(pressure, 1.5 * reach)
+                further = chart.reach(pressure, 1.5 * furthest)
                 if further is not None:
-                    volume = here.volume + 0.6 * (further - here.volume)
-            x, predicted = self._predict(volume)
+                    s = 0.6 * further
+            x, predicted = chart.at(s)
             goal = pressure if hit else predicted
             try:
-                fixed = hit
                 dt = self._rate * max(abs(goal - here.pressure), 1e-9)
-                point = self._correct(x, goal, None if fixed else volume, dt)
-                error = float(np.abs(point.x - x).max()) / self._thin
-                if error > self.options.largest_error:
+                plane = None if hit else (chart, s)
+                expected = self._expected_stress(chart, s)
+                point = self._correct(x, goal, dt, plane, expected)
+                if _largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
                     raise StepFailed("step_too_small", detail)
             except StepFailed:
                 self.counters.rejected += 1
-                self._step = abs(volume - here.volume) / 3
+                self._step = abs(s) / 3
                 if self._step < self._smallest:
                     raise
                 self._definite = here.negative == 0  # a bad iterate tells nothing
                 continue
-            self._accept(point, x)
+            self._accept(point, x, abs(s))
             return hit
 
     def locate_limit(self) -> Point:
         """The point between the last two where the pressure is highest."""
         a, b = self._before, self.point
         assert a is not None
-        point = a
+        best = max(a, b, key=lambda point: point.pressure)
+        scale = abs(a.slope) + abs(b.slope)
         for _ in range(6):
-            t = _turning(a, b)
-            x, pressure = _hermite(t, a, b)
-            volume = a.volume + t * (b.volume - a.volume)
+            chart = _Chart(b, a, a.normal + b.normal)
+            s = chart.turning()
+            x, pressure = chart.at(s)
             try:
-                point = self._correct(x, pressure, volume, 1.0)
+                best = self._correct(x, pressure, 1.0, (chart, s))
             except StepFailed:
                 break
-            scale = abs(a.pressure_slope) + abs(b.pressure_slope)
-            if abs(point.pressure_slope) < 1e-3 * scale:
-                return point
-            if point.pressure_slope * a.pressure_slope > 0:
-                a = point
-            else:
-                b = point
-        return point
+            if abs(best.slope) < 1e-3 * scale:
+                break
+            a, b = (best, b) if best.slope * a.slope > 0 else (a, best)
+        return best
 
     def run(
         self, targets: Array, times: Array | None = None, keep_all: bool = False
@@ -495,12 +575,14 @@ class PathFollower:
                 continue
             elapsed = times[i] - (times[i - 1] if i else min(0.0, times[0] - 1.0))
             self._rate = float(elapsed) / abs(target - self.point.pressure)
+            rising = (target > self.point.pressure) == (self.point.slope > 0)
+            self._heading = 1.0 if rising else -1.0
             while True:
                 if self.counters.steps >= self.options.max_steps:
                     return outcome.end(
                         "step_limit", f"after {self.counters.steps} steps"
                     )
-                slope = self.point.pressure_slope
+                slope = self.point.slope
                 try:
                     reached = self.advance(target)
                 except StepFailed as failure:
@@ -508,7 +590,7 @@ class PathFollower:
                     return outcome.end(
                         failure.status, f"{failure.detail}, past {at:.4g} kPa"
                     )
-                if slope > 0 and self.point.pressure_slope <= 0:
+                if slope > 0 and self.point.slope <= 0:
                     self.limit = self.locate_limit()
                     at = gauge(problem, self.limit.pressure) / 1e3
                     if keep_all:
@@ -533,6 +615,11 @@ class PathFollower:
         return bool((np.sum(across * side, axis=1) <= 0).any())
 
 
+def _largest(field: Array) -> float:
+    """Largest component of a nodal field."""
+    return float(np.abs(field).max())
+
+
 def _extrapolate(known: list[tuple[float, Array]], where: float) -> Array:
     """Lagrange's polynomial through (share, position) pairs, from the last one."""
     last = known[-1][1]
@@ -547,14 +634,3 @@ def _extrapolate(known: list[tuple[float, Array]], where: float) -> Array:
 def gauge(problem: Problem, pressure: float) -> float:
     """Gauge pressure of a cavity pressure, Pa."""
     return (pressure - problem.pressure_offset) / problem.pressure_gain
-
-
-def _turning(a: Point, b: Point) -> float:
-    """Where, in (0, 1), the cubic p(V) between two points has zero slope."""
-    width = b.volume - a.volume
-    m0, m1 = a.pressure_slope * width, b.pressure_slope * width
-    rise = b.pressure - a.pressure
-    # p'(t) = m0 + t (6 rise - 4 m0 - 2 m1) + t^2 (3 m0 + 3 m1 - 6 rise)
-    roots = np.roots([3 * m0 + 3 * m1 - 6 * rise, 6 * rise - 4 * m0 - 2 * m1, m0])
-    inside = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 < r.real < 1]
-    return inside[0] if inside else m0 / (m0 - m1)

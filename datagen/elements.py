@@ -247,6 +247,61 @@ def internal_force(
 
 
 @njit(cache=True, fastmath=True)
+def second_stress(f: Array, stress: Array, pressure: Array) -> Array:
+    """Second Piola-Kirchhoff stress S = F^-1 P, isochoric and volumetric together.
+
+    Parameters
+    ----------
+    f, stress : (27 e, 9) array
+        Deformation gradient and isochoric stress (Pa).
+    pressure : (e, 27) array, Pa
+
+    Returns
+    -------
+    (27 e, 6) array, Pa; 11, 22, 33, 12, 13, 23.
+    """
+    out = np.empty((f.shape[0], 6))
+    cof = np.empty(9)
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    for q in range(f.shape[0]):
+        det = _cofactor(f[q], cof)
+        p = pressure[q // 27, q % 27]
+        for entry in range(6):
+            j, k = pairs[entry]
+            total = 0.0
+            for i in range(3):
+                total += cof[3 * i + j] * (stress[q, 3 * i + k] + p * cof[3 * i + k])
+            out[q, entry] = total / det
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def replace_stress(tangent: Array, change: Array) -> None:
+    """Let another stress make the geometric part of a tangent, in place.
+
+    Parameters
+    ----------
+    tangent : (27 e, 81) array, Pa
+    change : (27 e, 6) array, Pa
+        The wanted second Piola-Kirchhoff stress minus the one at hand.
+    """
+    for q in range(tangent.shape[0]):
+        c = change[q]
+        t = tangent[q]
+        for i in range(3):
+            o = 30 * i
+            t[o] += c[0]
+            t[o + 10] += c[1]
+            t[o + 20] += c[2]
+            t[o + 1] += c[3]
+            t[o + 9] += c[3]
+            t[o + 2] += c[4]
+            t[o + 18] += c[4]
+            t[o + 11] += c[5]
+            t[o + 19] += c[5]
+
+
+@njit(cache=True, fastmath=True)
 def add_stiffness(
     data: Array,
     position: Array,

@@ -292,7 +292,12 @@ class Equilibrium:
         return stress, slope, tuple(history)
 
     def evaluate(
-        self, x: Array, pressure: float, dt: float = 1.0, tangent: bool = False
+        self,
+        x: Array,
+        pressure: float,
+        dt: float = 1.0,
+        tangent: bool = False,
+        expected: Array | None = None,
     ) -> Evaluation:
         """Residual, and the tangent where it is wanted.
 
@@ -304,6 +309,9 @@ class Equilibrium:
             In the cavities.
         dt : float, s
             Duration of the step, for laws with history.
+        expected : (27 e, 6) array, Pa, optional
+            Second Piola-Kirchhoff stress that makes the tangent's geometric part in
+            place of the stress at `x`.
 
         Raises
         ------
@@ -332,6 +340,9 @@ class Equilibrium:
         residual = self.restrict(force) - pressure * normal - self._body
         values = None
         if tangent:
+            if expected is not None:
+                at_hand = el.second_stress(f, stress, element_pressure)
+                el.replace_stress(slope, expected - at_hand)
             values = np.zeros(len(self.pattern.indices))
             el.add_stiffness(
                 values,
@@ -352,6 +363,26 @@ class Equilibrium:
                 pressure,
             )
         return Evaluation(residual, volume, normal, values, history)
+
+    def stress(self, x: Array, dt: float = 1.0) -> Array:
+        """Second Piola-Kirchhoff stress (27 e, 6), Pa, at the quadrature points."""
+        mesh, data = self.problem.mesh, self.data
+        f = el.deformation(x, mesh.cells, self._gradient, data.inverse)
+        isochoric = self._respond(f, dt, False)[0]
+        pressure = el.internal_force(
+            f,
+            isochoric,
+            self.problem.bulk_modulus,
+            el.LOCAL_SHARE,
+            len(x),
+            mesh.cells,
+            self._gradient,
+            data.inverse,
+            data.weight,
+            data.basis,
+            data.mass_inverse,
+        )[1]
+        return el.second_stress(f, isochoric, pressure)
 
     def where(self, element: int) -> str:
         """Place of an element in words, for messages."""

@@ -108,15 +108,13 @@ class Pardiso:
         # Slender strips have condition numbers of 1e10: a pivot must not be perturbed
         # before it is lost in rounding.
         self._settings[9] = 14
-        self._settings[10] = 0 if definite else 1  # scaling
-        self._settings[12] = 0 if definite else 1  # weighted matching
+        # No scaling or matching by values, settings 10 and 12: a tangent past a limit
+        # point has a few negative pivots and is else definite; one analysis serves all.
         self._settings[20] = 1  # Bunch-Kaufman pivots
         self._settings[34] = 1  # indices from 0
         self._data = np.zeros(len(indices))
         self.negative = -1
-        self._analysed = definite
-        if definite:  # the indefinite analysis scales by values: done with them
-            self._call(11)
+        self._call(11)
 
     def _call(self, phase: int, rhs: Array | None = None) -> Array:
         columns = 1 if rhs is None or rhs.ndim == 1 else rhs.shape[1]
@@ -160,9 +158,6 @@ class Pardiso:
 
     def factorise(self, data: Array) -> None:
         self._data = np.ascontiguousarray(data)
-        if not self._analysed:
-            self._call(11)
-            self._analysed = True
         self._call(22)
         self.negative = 0 if self._type == 2 else int(self._settings[22])
 

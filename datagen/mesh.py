@@ -73,8 +73,8 @@ class MeshLevel:
 
     @staticmethod
     def _share(count: int, divisions: int) -> int:
-        """Shorter balloons need fewer elements, but never under half of them."""
-        return count if divisions == 1 else max(count - divisions, (count + 1) // 2)
+        """Shorter balloons need fewer elements, but always more than half of them."""
+        return count if divisions == 1 else max(count - divisions, count // 2 + 1)
 
 
 LEVELS: dict[str, MeshLevel] = {
@@ -94,7 +94,17 @@ def mesh_level(name: str) -> MeshLevel:
     return LEVELS[name]
 
 
-def graded(start: float, stop: float, count: int, first: float) -> Array:
+STEEPEST = 2.5
+"""Largest ratio of neighbouring elements over a balloon.
+
+An inflated roof bends everywhere, not at its edges alone: with a steeper grading long
+thin elements in the middle fold in a way that no membrane does, and the path is lost.
+"""
+
+
+def graded(
+    start: float, stop: float, count: int, first: float, steepest: float = np.inf
+) -> Array:
     """Grid lines from `start`, growing geometrically away from it.
 
     Parameters
@@ -105,12 +115,15 @@ def graded(start: float, stop: float, count: int, first: float) -> Array:
         Number of elements.
     first : float, m
         Wanted size of the element at `start`; equal elements where that is smaller.
+    steepest : float
+        Largest ratio of neighbours; the first element is larger where it must be.
 
     Returns
     -------
     (count + 1,) array, m, from `start` to `stop`.
     """
     length = abs(stop - start)
+    first = max(first, length / float(np.sum(steepest ** np.arange(count))))
     if count == 1 or first >= length / count:
         return np.linspace(start, stop, count + 1)
 
@@ -133,7 +146,10 @@ def _join(*pieces: Array) -> Array:
 def _between(left: float, right: float, half: int, first: float) -> Array:
     """Grid lines graded towards both ends, `half` elements on each side."""
     middle = (left + right) / 2
-    return _join(graded(left, middle, half, first), graded(right, middle, half, first))
+    return _join(
+        graded(left, middle, half, first, STEEPEST),
+        graded(right, middle, half, first, STEEPEST),
+    )
 
 
 def grid_lines(design: Design, level: MeshLevel) -> tuple[Array, Array, Array]:
@@ -156,7 +172,7 @@ def grid_lines(design: Design, level: MeshLevel) -> tuple[Array, Array, Array]:
         y.append(np.linspace(0.0, by[0][0], (level.wall + 1) // 2 + 1))
     for j, (left, right) in enumerate(by):
         if left == 0.0:
-            y.append(graded(right, 0.0, across, edge_y))
+            y.append(graded(right, 0.0, across, edge_y, STEEPEST))
         else:
             y.append(_between(left, right, across, edge_y))
         if j + 1 < len(by):
