@@ -20,8 +20,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .chart import Chart, Point
 from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
 from .linear import NotDefinite
+from .mixing import Mixing
 from .problem import Problem
 
 Array = np.ndarray
@@ -82,61 +84,6 @@ class Options:
     max_steps: int = 400
 
 
-@dataclass(frozen=True)
-class Point:
-    """One equilibrium and the path's direction there.
-
-    x : (n, 3) array, m; deformed nodes.  pressure : Pa, in the cavity.
-    volume : m3.  direction : (n, 3) array, dx/ds of the path's length s.
-    normal : (n, 3) array; ds/dx.  slope : Pa/m, dp/ds.
-    stress : (27 e, 6) array, Pa; second Piola-Kirchhoff, at the quadrature points.
-    negative : int; negative eigenvalues of the tangent, 0 where stable.
-    """
-
-    x: Array
-    pressure: float
-    volume: float
-    direction: Array
-    normal: Array
-    slope: float
-    stress: Array
-    negative: int = 0
-
-
-class _Mixing:
-    """Anderson's acceleration of corrections that share one factorisation.
-
-    Keeps the last corrections s(u) and combines them so that the mixed one is least
-    (Walker and Ni 2011); the pressure rides along.
-    """
-
-    def __init__(self, memory: int) -> None:
-        self._memory = memory
-        self.clear()
-
-    def clear(self) -> None:
-        self._last: tuple[Array, float, Array, float] | None = None
-        self._steps: list[Array] = []
-        self._moves: list[tuple[Array, float]] = []
-
-    def improve(self, step: Array, change: float) -> tuple[Array, float]:
-        """The correction to apply in place of (`step`, `change`)."""
-        if self._last is not None:
-            old, old_change, move, move_change = self._last
-            self._steps = [*self._steps, step - old][-self._memory :]
-            mixed = (move + step - old, move_change + change - old_change)
-            self._moves = [*self._moves, mixed][-self._memory :]
-        better, better_change = step, change
-        if self._steps:
-            basis = np.stack(self._steps, axis=1)
-            share = np.linalg.lstsq(basis, step, rcond=1e-10)[0]
-            for g, (move, move_change) in zip(share, self._moves, strict=True):
-                better = better - g * move
-                better_change = better_change - float(g) * move_change
-        self._last = (step, change, better, better_change)
-        return better, better_change
-
-
 @dataclass
 class Outcome:
     """Points that were kept, each with the target it belongs to, and how it ended."""
@@ -169,75 +116,6 @@ class Counters:
     factorisations: int = 0
     iterations: int = 0
     rejected: int = 0
-
-
-class _Chart:
-    """A straight coordinate s = normal . (x - here.x) of the path near two points.
-
-    Parameters
-    ----------
-    here : Point
-        s = 0, and there s is the arc length.
-    before : Point, optional
-        Another point of the path; without it the chart follows the tangent.
-    normal : (n, 3) array, optional
-        Direction in which s grows; the path's own at `here` by default.
-    """
-
-    def __init__(
-        self, here: Point, before: Point | None = None, normal: Array | None = None
-    ) -> None:
-        normal = here.normal if normal is None else normal
-        self.normal = normal / np.vdot(normal, here.direction)
-        self.here, self.before = here, before
-        if before is not None:
-            self.start = self.measure(before.x)
-            self.rate = float(np.vdot(self.normal, before.direction))
-            if self.rate < 0.3 or self.start == 0:
-                self.before = None  # the path has turned: two points say little
-
-    def measure(self, x: Array) -> float:
-        """Coordinate of nodes (n, 3), m."""
-        return float(np.vdot(self.normal, x - self.here.x))
-
-    def at(self, s: float) -> tuple[Array, float]:
-        """Nodes and pressure expected at a coordinate."""
-        b, a = self.here, self.before
-        if a is None:
-            return b.x + s * b.direction, b.pressure + s * b.slope
-        width = -self.start
-        t = 1 + s / width
-        h00 = (1 + 2 * t) * (1 - t) ** 2
-        h10, h11 = width * t * (1 - t) ** 2 / self.rate, width * t * t * (t - 1)
-        # From b, as h00 + h01 = 1: held displacements then stay held to the last bit.
-        # Extrapolation would multiply their rounding errors in every step, and nothing
-        # corrects them.
-        x = b.x + h00 * (a.x - b.x) + h10 * a.direction + h11 * b.direction
-        p = b.pressure + h00 * (a.pressure - b.pressure) + h10 * a.slope + h11 * b.slope
-        return x, p
-
-    def reach(self, pressure: float, furthest: float) -> float | None:
-        """Coordinate up to `furthest` where `pressure` is expected, or None."""
-        share = np.linspace(0.0, 1.0, 41)
-        ahead = np.array([self.at(furthest * t)[1] for t in share])
-        side = np.sign(pressure - self.here.pressure)
-        beyond = np.nonzero(side * (ahead - pressure) >= 0)[0]
-        if len(beyond) == 0 or beyond[0] == 0:
-            return None
-        k = int(beyond[0])
-        inner = (pressure - ahead[k - 1]) / (ahead[k] - ahead[k - 1])
-        return furthest * float(share[k - 1] + inner * (share[k] - share[k - 1]))
-
-    def turning(self) -> float:
-        """Coordinate between the two points where the cubic p(s) has zero slope."""
-        a, b = self.before, self.here
-        assert a is not None
-        m0, m1 = -self.start * a.slope / self.rate, -self.start * b.slope
-        rise = b.pressure - a.pressure
-        # p'(t) = m0 + t (6 rise - 4 m0 - 2 m1) + t^2 (3 m0 + 3 m1 - 6 rise)
-        roots = np.roots([3 * m0 + 3 * m1 - 6 * rise, 6 * rise - 4 * m0 - 2 * m1, m0])
-        inside = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 < r.real < 1]
-        return self.start * (1 - (inside[0] if inside else m0 / (m0 - m1)))
 
 
 class PathFollower:
@@ -325,7 +203,7 @@ class PathFollower:
         x: Array,
         pressure: float,
         dt: float,
-        plane: tuple[_Chart, float] | None = None,
+        plane: tuple[Chart, float] | None = None,
         expected: Array | None = None,
     ) -> Point:
         """Newton from a prediction, at fixed pressure or at a chart's coordinate.
@@ -349,7 +227,7 @@ class PathFollower:
         fresh, age, best, last = True, 0, np.inf, np.inf
         load = np.zeros(0)
         self._effort = 0
-        mixing = _Mixing(options.memory)
+        mixing = Mixing(options.memory)
         across = eq.restrict(plane[0].normal) if plane else np.zeros(0)
         for _ in range(options.iterations):
             self.counters.iterations += 1
@@ -464,7 +342,7 @@ class PathFollower:
             known.append((share, point.x))
         return point
 
-    def _expected_stress(self, chart: _Chart, s: float) -> Array:
+    def _expected_stress(self, chart: Chart, s: float) -> Array:
         """Stress at a coordinate, by Lagrange's polynomial through the last points."""
         where = [chart.measure(point.x) for point in self._last]
         expected = self._last[-1].stress.copy()
@@ -500,7 +378,7 @@ class PathFollower:
         """
         while True:
             here = self.point
-            chart = _Chart(here, self._before)
+            chart = Chart(here, self._before)
             furthest = self._heading * self._step
             s = chart.reach(pressure, furthest)
             hit = s is not None
@@ -537,7 +415,7 @@ class PathFollower:
         best = max(a, b, key=lambda point: point.pressure)
         scale = abs(a.slope) + abs(b.slope)
         for _ in range(6):
-            chart = _Chart(b, a, a.normal + b.normal)
+            chart = Chart(b, a, a.normal + b.normal)
             s = chart.turning()
             x, pressure = chart.at(s)
             try:
