@@ -1,4 +1,4 @@
-"""Points of an equilibrium path, and the local coordinate that predicts the next one."""
+"""Points of an equilibrium path, and the local coordinate that predicts the next."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ class Point:
     normal : (n, 3) array; ds/dx.  slope : Pa/m, dp/ds.
     stress : (27 e, 6) array, Pa; second Piola-Kirchhoff, at the quadrature points.
     negative : int; negative eigenvalues of the tangent, 0 where stable.
+    jacobian : (m, k) array, SI, or None; outputs by parameters, see `Sensitivity`.
     """
 
     x: Array
@@ -28,6 +29,7 @@ class Point:
     slope: float
     stress: Array
     negative: int = 0
+    jacobian: Array | None = None
 
 
 class Chart:

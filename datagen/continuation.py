@@ -16,7 +16,8 @@ Corrector: Newton's method that keeps its factorisation while the contraction is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
 from .linear import NotDefinite
 from .mixing import Mixing
 from .problem import Problem
+from .sensitivity import Direction, Sensitivity
 
 Array = np.ndarray
 
@@ -127,6 +129,8 @@ class PathFollower:
     workspace : Workspace, optional
         Shared by problems of the same topology.
     options : Options, optional
+    directions : sequence of Direction, optional
+        Parameters by which the outputs are differentiated at every kept point.
     """
 
     def __init__(
@@ -134,11 +138,16 @@ class PathFollower:
         problem: Problem,
         workspace: Workspace | None = None,
         options: Options | None = None,
+        directions: Sequence[Direction] = (),
     ) -> None:
         self.problem = problem
         self.workspace = workspace or Workspace()
         self.options = options or Options()
         self.equations = Equilibrium(problem, self.workspace)
+        self._sensitivity = (
+            Sensitivity(problem, directions, self.workspace) if directions else None
+        )
+        self._differentiate = bool(directions)
         self.counters = Counters()
         self.limit: Point | None = None
         design = problem.design
@@ -147,7 +156,9 @@ class PathFollower:
         self._tolerance = self.options.tolerance * design.thickness
         self._definite = True
         self._before: Point | None = None
+        self._keep_all = False
         self._heading = 1.0
+        self.first_volume = self.equations.volume(problem.nodes)
         faces = problem.mesh.cavity_faces[:, [0, 2, 8, 6]]
         one, two = (
             problem.nodes[faces[:, i]] - problem.nodes[faces[:, j]]
@@ -157,7 +168,6 @@ class PathFollower:
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
         self.point = self._start()
         self._last = [self.point]
-        self.first_volume = self.equations.evaluate(problem.nodes, 0.0).volume
         first = self.options.first_step * self._thin
         self._step = first / _largest(self.point.direction)
         self._smallest = self.options.smallest_step * self._step
@@ -268,14 +278,50 @@ class PathFollower:
         raise StepFailed("step_too_small", "Newton's method did not converge")
 
     def _finish(self, x: Array, pressure: float, dt: float) -> Point:
-        """Tangent of the path at an equilibrium: K dx/dp = dV/dx.
+        """The point of the path at an equilibrium, with its direction there."""
+        eq = self.equations
+        ev = self._evaluate(x, pressure, dt, self._differentiate)
+        if self._differentiate:
+            self._factorise(ev)
+            load = self._solver.solve(ev.volume_gradient)
+        else:
+            load = self._refine(x, pressure, dt, ev)
+        self._pending = ev.history
+        direction = eq.extend(load)
+        # The length of a step: mean movement of the cavity's walls, and a little of
+        # every node's.  All nodes alike would follow the tip, which stands still where
+        # it turns while the balloons grow.
+        walls = eq.extend(ev.volume_gradient) / self._area
+        nodes = self.options.node_share**2 / len(direction)
+        normal = np.vdot(walls, direction) * walls + nodes * direction
+        length = float(np.sqrt(np.vdot(normal, direction)))
+        if self.point is not None and np.vdot(normal, self.point.direction) < 0:
+            length = -length  # past a limit point the path goes on, the pressure falls
+        point = Point(
+            x=x,
+            pressure=pressure,
+            volume=ev.volume,
+            direction=direction / length,
+            normal=normal / length,
+            slope=1.0 / length,
+            stress=eq.stress(x, dt),
+            negative=self._solver.negative,
+        )
+        if self._differentiate and self._sensitivity is not None:
+            jacobian = self._sensitivity.visit(
+                eq, self._solver, point, dt, self.first_volume
+            )
+            point = replace(point, jacobian=jacobian)
+        return point
 
-        Conjugate gradients on the tangent here, with the corrector's factorisation
-        as preconditioner and products with K by differences of residuals.  A poor
-        tangent costs more than these few solves: it spoils the next predictions.
+    def _refine(self, x: Array, pressure: float, dt: float, ev: Evaluation) -> Array:
+        """Displacements a pascal: K u = dV/dx, by conjugate gradients.
+
+        The corrector's factorisation is the preconditioner; products with the tangent
+        at `x` are differences of residuals.  A poor tangent of the path costs more than
+        these few solves: it spoils the next predictions.
         """
         eq = self.equations
-        ev = self._evaluate(x, pressure, dt, False)
         load = self._solver.solve(ev.volume_gradient)
         scale = float(np.abs(load).max())
         lack, aim, last = ev.volume_gradient.copy(), load, load * 0.0
@@ -293,27 +339,7 @@ class PathFollower:
             aim = self._solver.solve(lack)
             if float(np.abs(aim).max()) <= self.options.tangent_tolerance * scale:
                 break
-        self._pending = ev.history
-        direction = eq.extend(load)
-        # The length of a step: mean movement of the cavity's walls, and a little of
-        # every node's.  All nodes alike would follow the tip, which stands still where
-        # it turns while the balloons grow.
-        walls = eq.extend(ev.volume_gradient) / self._area
-        nodes = self.options.node_share**2 / len(direction)
-        normal = np.vdot(walls, direction) * walls + nodes * direction
-        length = float(np.sqrt(np.vdot(normal, direction)))
-        if self.point is not None and np.vdot(normal, self.point.direction) < 0:
-            length = -length  # past a limit point the path goes on, the pressure falls
-        return Point(
-            x=x,
-            pressure=pressure,
-            volume=ev.volume,
-            direction=direction / length,
-            normal=normal / length,
-            slope=1.0 / length,
-            stress=eq.stress(x, dt),
-            negative=self._solver.negative,
-        )
+        return load
 
     # -- the path ------------------------------------------------------------------
 
@@ -328,6 +354,7 @@ class PathFollower:
         while share < 1:
             target = min(1.0, share + step)
             eq.set_share(target)
+            self._differentiate = self._sensitivity is not None and target == 1
             try:
                 guess = _extrapolate(known[-3:], target)
                 point = self._correct(guess, target * pressure, 1.0)
@@ -394,6 +421,7 @@ class PathFollower:
                 dt = self._rate * max(abs(goal - here.pressure), 1e-9)
                 plane = None if hit else (chart, s)
                 expected = self._expected_stress(chart, s)
+                self._differentiate = self._wants_derivatives(hit)
                 point = self._correct(x, goal, dt, plane, expected)
                 if _largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
@@ -408,12 +436,19 @@ class PathFollower:
             self._accept(point, x, abs(s))
             return hit
 
+    def _wants_derivatives(self, hit: bool) -> bool:
+        """True for points that are kept; for all where the laws have a history."""
+        if self._sensitivity is None:
+            return False
+        return hit or self._keep_all or self._sensitivity.has_history
+
     def locate_limit(self) -> Point:
         """The point between the last two where the pressure is highest."""
         a, b = self._before, self.point
         assert a is not None
         best = max(a, b, key=lambda point: point.pressure)
         scale = abs(a.slope) + abs(b.slope)
+        self._differentiate = False  # they are infinite at a limit point
         for _ in range(6):
             chart = Chart(b, a, a.normal + b.normal)
             s = chart.turning()
@@ -445,6 +480,7 @@ class PathFollower:
         Outcome
         """
         problem, outcome = self.problem, Outcome()
+        self._keep_all = keep_all
         times = np.arange(1.0, len(targets) + 1) if times is None else times
         for i, wanted in enumerate(targets):
             target = problem.pressure_gain * float(wanted) + problem.pressure_offset
@@ -505,7 +541,7 @@ def _extrapolate(known: list[tuple[float, Array]], where: float) -> Array:
     for i, (here, x) in enumerate(known[:-1]):
         others = [share for j, (share, _) in enumerate(known) if j != i]
         weight = np.prod([(where - other) / (here - other) for other in others])
-        guess += weight * (x - last)  # held displacements stay held, see _hermite
+        guess += weight * (x - last)  # held displacements stay held, see Chart.at
     return guess
 
 

@@ -73,23 +73,51 @@ def element_data(
         When an undeformed element is inverted.
     """
     ref = reference()
-    jacobian = np.einsum("eai,qad->eqid", nodes[cells], ref.gradient, optimize=True)
-    volume = np.linalg.det(jacobian)
-    if not (volume > 0).all():
-        raise ValueError(f"element {int(np.argmin(volume.min(axis=1)))} is inverted")
-    inverse = np.linalg.inv(jacobian)
-    weight = ref.weight * volume
-    if growth is not None:
-        inverse = inverse @ np.linalg.inv(growth)[:, None]
-        weight = weight * np.linalg.det(growth)[:, None]
     basis = np.concatenate([np.ones((27, 1)), ref.point - 0.5], axis=1)
-    mass = np.einsum("eq,qi,qj->eij", weight, basis, basis, optimize=True)
-    return ElementData(
-        np.ascontiguousarray(inverse.reshape(len(cells), 27, 9)),
-        np.ascontiguousarray(weight),
-        basis,
-        np.linalg.inv(mass),
+    inverse, weight, mass = _reference_shape(
+        nodes, cells, ref.gradient, ref.weight, basis
     )
+    if not (weight > 0).all():
+        raise ValueError(f"element {int(np.argmin(weight.min(axis=1)))} is inverted")
+    if growth is not None:
+        change = np.linalg.det(growth)
+        inverse = inverse.reshape(-1, 27, 3, 3) @ np.linalg.inv(growth)[:, None]
+        inverse = np.ascontiguousarray(inverse.reshape(-1, 27, 9))
+        weight = weight * change[:, None]
+        mass = mass * change[:, None, None]
+    return ElementData(inverse, weight, basis, np.linalg.inv(mass))
+
+
+@njit(cache=True)
+def _reference_shape(
+    nodes: Array, cells: Array, gradient: Array, point_weight: Array, basis: Array
+) -> tuple[Array, Array, Array]:
+    """Inverse Jacobians (e, 27, 9), weights (e, 27) and mass matrices (e, 4, 4)."""
+    elements = cells.shape[0]
+    inverse = np.empty((elements, 27, 9))
+    weight = np.empty((elements, 27))
+    mass = np.zeros((elements, 4, 4))
+    j, c, xe = np.empty(9), np.empty(9), np.empty((27, 3))
+    for e in range(elements):
+        for a in range(27):
+            for i in range(3):
+                xe[a, i] = nodes[cells[e, a], i]
+        for q in range(27):
+            j[:] = 0.0
+            for a in range(27):
+                for i in range(3):
+                    for k in range(3):
+                        j[3 * i + k] += xe[a, i] * gradient[q, a, k]
+            det = _cofactor(j, c)
+            for i in range(3):
+                for k in range(3):
+                    inverse[e, q, 3 * i + k] = c[3 * k + i] / det
+            w = point_weight[q] * det
+            weight[e, q] = w
+            for m in range(4):
+                for n in range(4):
+                    mass[e, m, n] += w * basis[q, m] * basis[q, n]
+    return inverse, weight, mass
 
 
 @njit(cache=True, fastmath=True)

@@ -364,6 +364,10 @@ class Equilibrium:
             )
         return Evaluation(residual, volume, normal, values, history)
 
+    def volume(self, x: Array) -> float:
+        """Volume of the cavities in the half model, m3."""
+        return el.cavity(x, self.problem.mesh.cavity_faces, self._tensor)[0]
+
     def stress(self, x: Array, dt: float = 1.0) -> Array:
         """Second Piola-Kirchhoff stress (27 e, 6), Pa, at the quadrature points."""
         mesh, data = self.problem.mesh, self.data

@@ -10,13 +10,14 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from .continuation import PathFollower
-from .device import DESIGN_SPACE, MAX_PRESSURE, Design
+from .device import DESIGN_FIELDS, DESIGN_SPACE, LIMITS, MAX_PRESSURE, Design
 from .effects import Effect, catalogue
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
 from .mesh import mesh_level
 from .problem import STAGES, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
+from .sensitivity import Direction
 from .solver import solve
 from .space import Space
 
@@ -25,6 +26,14 @@ Array = np.ndarray
 GENERATOR_VERSION = "1"
 """Changes whenever the numbers that the model gives change."""
 
+
+CONTINUOUS_FIELDS = tuple(
+    name for name in DESIGN_FIELDS if LIMITS[name].scale != "integer"
+)
+"""Fields of a design that outputs can be differentiated by."""
+
+FIELD_STEP, PARAMETER_STEP = 1e-5, 1e-6
+"""Of a design field over its value, of an effect's parameter over its range."""
 
 EXPLORED_STEPS = 8
 """Even load steps of `Model.explore`, besides those that the follower adds."""
@@ -111,13 +120,49 @@ class Model:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
 
-    def __call__(self, designs: Sequence[Design], paths: Sequence[Path]) -> Response:
+    def directions(self, design: Design) -> list[Direction]:
+        """Each continuous design field and active effect's parameter, a step ahead.
+
+        The other fields stay: with a longer balloon the tip margin is shorter.
+        """
+        found = []
+        for name in CONTINUOUS_FIELDS:
+            value = float(getattr(design, name))
+            room = LIMITS[name].upper - value
+            step = FIELD_STEP * value
+            step = step if step < room else -step
+            other = design.with_values(**{name: value + step})
+            found.append(Direction(name, step, self.problem(other)))
+        values: dict[str, dict[str, float]] = self.__dict__["_values"]
+        for one in self.active:
+            for parameter in one.parameters:
+                value = values[one.name][parameter.name]
+                step = PARAMETER_STEP * (parameter.upper - parameter.lower)
+                step = step if value + step <= parameter.upper else -step
+                moved = {
+                    **values,
+                    one.name: {**values[one.name], parameter.name: value + step},
+                }
+                other_model = replace(self, parameters=moved)
+                name = f"{one.name}.{parameter.name}"
+                found.append(Direction(name, step, other_model.problem(design)))
+        return found
+
+    def __call__(
+        self,
+        designs: Sequence[Design],
+        paths: Sequence[Path],
+        sensitivities: bool = False,
+    ) -> Response:
         """Solve each design along its own path.
 
         Parameters
         ----------
         designs, paths : sequences of equal length n
             Paths may have different numbers of load steps; NaN pads the result.
+        sensitivities : bool
+            Differentiate every value by the design's continuous fields and the active
+            effects' parameters.
 
         Returns
         -------
@@ -128,12 +173,22 @@ class Model:
             raise InputError("paths", len(paths), f"one path a design, {len(designs)}")
         return stack(
             [
-                solve(self.problem(design), path, self._workspace)
+                solve(
+                    self.problem(design),
+                    path,
+                    self._workspace,
+                    directions=self.directions(design) if sensitivities else (),
+                )
                 for design, path in zip(designs, paths, strict=True)
             ]
         )
 
-    def explore(self, design: Design, max_pressure: float = MAX_PRESSURE) -> Response:
+    def explore(
+        self,
+        design: Design,
+        max_pressure: float = MAX_PRESSURE,
+        sensitivities: bool = False,
+    ) -> Response:
         """Every equilibrium on the way up: even load steps, the follower's between.
 
         Parameters
@@ -141,6 +196,8 @@ class Model:
         design : Design
         max_pressure : float, Pa
             Gauge pressure at which the path ends unless it turns before.
+        sensitivities : bool
+            As in a call.
 
         Returns
         -------
@@ -148,7 +205,14 @@ class Model:
             Of one device; the last step is `max_pressure` or the limit point.
         """
         path = Path(np.linspace(0.0, max_pressure, EXPLORED_STEPS + 1)[1:])
-        return solve(self.problem(design), path, self._workspace, explore=True)
+        directions = self.directions(design) if sensitivities else ()
+        return solve(
+            self.problem(design),
+            path,
+            self._workspace,
+            explore=True,
+            directions=directions,
+        )
 
     def deformed(self, design: Design, pressure: float) -> tuple[Problem, Array]:
         """The problem and its (n, 3) deformed nodes, m, at one gauge pressure, Pa.
@@ -177,6 +241,7 @@ def stack(responses: Sequence[Response]) -> Response:
         padded: Array = np.pad(array, widths, constant_values=fill)  # type: ignore[call-overload]
         return padded
 
+    slopes = [pad(r.jacobian, np.nan) for r in responses if r.jacobian is not None]
     return Response(
         outputs=responses[0].outputs,
         pressure=np.concatenate([pad(r.pressure, np.nan) for r in responses]),
@@ -186,6 +251,8 @@ def stack(responses: Sequence[Response]) -> Response:
         path_status=tuple(s for r in responses for s in r.path_status),
         limit_pressure=np.concatenate([r.limit_pressure for r in responses]),
         message=tuple(m for r in responses for m in r.message),
+        parameters=responses[0].parameters,
+        jacobian=np.concatenate(slopes) if slopes else None,
         info={
             "unknowns": max(r.info.get("unknowns", 0) for r in responses),
             "seconds": sum(r.info.get("seconds", 0.0) for r in responses),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from .mesh import StripMesh
 from .problem import Problem
@@ -39,6 +40,48 @@ def _curve(points: Array) -> tuple[Array, Array, Array]:
     return position, slope, t
 
 
+@njit(cache=True)
+def _heights(base: Array, tangent: Array, line: Array, side: float) -> Array:
+    """Distance of a line from each of some points along the normals there.
+
+    In each normal's own frame the line crosses the axis where its tangential
+    coordinate changes sign; of several crossings the nearest to the point's own
+    material neighbour counts, as the lines run side by side.
+
+    Parameters
+    ----------
+    base, tangent : (k, 2) arrays, m and 1
+    line : (k, 2) array, m
+    side : float
+        +1 or -1, see `_rise`.
+
+    Returns
+    -------
+    (k,) array, m; NaN where the line does not cross the normal.
+    """
+    count = len(base)
+    height = np.full(count, np.nan)
+    for i in range(count):
+        tx, tz = tangent[i, 0], tangent[i, 1]
+        bx, bz = base[i, 0], base[i, 1]
+        for away in range(count):
+            found = -1
+            for j in (i - away, i + away):
+                if 0 <= j < count - 1:
+                    a0 = tx * (line[j, 0] - bx) + tz * (line[j, 1] - bz)
+                    a1 = tx * (line[j + 1, 0] - bx) + tz * (line[j + 1, 1] - bz)
+                    if a0 <= 0 < a1:
+                        found = j
+                        break
+            if found >= 0:
+                share = -a0 / (a1 - a0)
+                px = line[found, 0] * (1 - share) + line[found + 1, 0] * share - bx
+                pz = line[found, 1] * (1 - share) + line[found + 1, 1] * share - bz
+                height[i] = side * (tx * pz - tz * px)
+                break
+    return height
+
+
 def _rise(edge: Array, middle: Array, side: float) -> float:
     """Largest distance of one line from another, along the other's normals.
 
@@ -52,25 +95,8 @@ def _rise(edge: Array, middle: Array, side: float) -> float:
     base, slope, _ = _curve(edge)
     line, _, _ = _curve(middle)
     tangent = slope / np.linalg.norm(slope, axis=1, keepdims=True)
-    normal = side * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-    # In each normal's own frame the middle line crosses the axis where its
-    # tangential coordinate changes sign; of several crossings take the nearest to
-    # the point's own material neighbour, as the lines run side by side.
-    along = (
-        np.einsum("bi,mi->bm", tangent, line) - np.sum(tangent * base, axis=1)[:, None]
-    )
-    above = (
-        np.einsum("bi,mi->bm", normal, line) - np.sum(normal * base, axis=1)[:, None]
-    )
-    crosses = (along[:, :-1] <= 0) & (along[:, 1:] > 0)
-    own = np.arange(len(base))[:, None]
-    steps = np.where(crosses, np.abs(np.arange(crosses.shape[1])[None] - own), 10**9)
-    at = steps.argmin(axis=1)
-    rows = np.nonzero(crosses.any(axis=1))[0]
-    at = at[rows]
-    a0, a1 = along[rows, at], along[rows, at + 1]
-    share = -a0 / (a1 - a0)
-    height = above[rows, at] * (1 - share) + above[rows, at + 1] * share
+    height = _heights(base, tangent, line, side)
+    height = height[np.isfinite(height)]
     best = int(height.argmax())
     if 0 < best < len(height) - 1:  # parabola through the top three samples
         before, top, after = height[best - 1 : best + 2]
@@ -108,44 +134,65 @@ def _tip_angle(mesh: StripMesh, nodes: Array, x: Array, start: float) -> float:
     return angle + 2 * np.pi * round((mean - angle) / (2 * np.pi))
 
 
-def observe(problem: Problem, x: Array, volume_change: float) -> Array:
-    """Outputs of one equilibrium.
+class Instruments:
+    """What is measured on one problem's device.
 
     Parameters
     ----------
     problem : Problem
-    x : (n, 3) array, m
-        Deformed node positions.
-    volume_change : float, m3
-        Of the cavities in the half model.
-
-    Returns
-    -------
-    (m,) array, SI, in the order of `OUTPUT_NAMES`
     """
-    mesh, nodes, design = problem.mesh, problem.nodes, problem.design
 
-    def plane(field: Array, name: str) -> Array:
-        rows: Array = field[mesh.lines[name]]
-        return rows[:, [0, 2]]
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        design = problem.design
+        end = design.balloon_start + design.span_x
+        self._fitted_from = end + 0.25 * (design.length - end)
+        self._at_rest = self._shape(problem.nodes)
 
-    def rise(name: str, side: float) -> float:
-        deformed = _rise(plane(x, f"{name}_edge"), plane(x, f"{name}_middle"), side)
-        at_rest = _rise(
-            plane(nodes, f"{name}_edge"), plane(nodes, f"{name}_middle"), side
+    def _shape(self, x: Array) -> Array:
+        """Angle (rad), rise of the roof and descent of the floor (m) of some nodes."""
+        mesh = self.problem.mesh
+
+        def plane(name: str) -> Array:
+            rows: Array = x[mesh.lines[name]]
+            return rows[:, [0, 2]]
+
+        return np.array(
+            [
+                _tip_angle(mesh, self.problem.nodes, x, self._fitted_from),
+                _rise(plane("roof_edge"), plane("roof_middle"), 1.0),
+                _rise(plane("floor_edge"), plane("floor_middle"), -1.0),
+            ]
         )
-        return deformed - at_rest
 
-    end = design.balloon_start + design.span_x
-    start = end + 0.25 * (design.length - end)
-    angle = _tip_angle(mesh, nodes, x, start) - _tip_angle(mesh, nodes, nodes, start)
-    values = {
-        "tip_deflection": float(mesh.tip_weights @ (x - nodes)[mesh.tip, 2]),
-        "bending_angle": angle,
-        "inflation": rise("roof", 1.0),
-        "inflation_lower": rise("floor", -1.0),
-        "cavity_volume": 2 * volume_change,
-    }
-    for observer in problem.observers:
-        values = observer(values, nodes, x)
-    return np.array([values[name] for name in OUTPUT_NAMES])
+    def read(self, x: Array, volume_change: float) -> Array:
+        """Outputs of one equilibrium.
+
+        Parameters
+        ----------
+        x : (n, 3) array, m
+            Deformed node positions.
+        volume_change : float, m3
+            Of the cavities in the half model.
+
+        Returns
+        -------
+        (m,) array, SI, in the order of `OUTPUT_NAMES`
+        """
+        mesh, nodes = self.problem.mesh, self.problem.nodes
+        angle, up, down = self._shape(x) - self._at_rest
+        values = {
+            "tip_deflection": float(mesh.tip_weights @ (x - nodes)[mesh.tip, 2]),
+            "bending_angle": float(angle),
+            "inflation": float(up),
+            "inflation_lower": float(down),
+            "cavity_volume": 2 * volume_change,
+        }
+        for observer in self.problem.observers:
+            values = observer(values, nodes, x)
+        return np.array([values[name] for name in OUTPUT_NAMES])
+
+
+def observe(problem: Problem, x: Array, volume_change: float) -> Array:
+    """Outputs of one equilibrium, see `Instruments.read`."""
+    return Instruments(problem).read(x, volume_change)

@@ -112,6 +112,10 @@ class Response:
         Pressure at which the equilibrium path turns; NaN where it was not met.
     message : tuple of n str
         Where a path stopped and why, in words; empty where it was completed.
+    parameters : tuple of k str
+        Names of what `jacobian` differentiates by.
+    jacobian : (n, s, m, k) array, SI, or None
+        Derivatives of the values at fixed gauge pressure; NaN where there is no value.
     info : dict
         What the producer wants to add (``unknowns``, ``seconds``, ...).
     """
@@ -124,6 +128,8 @@ class Response:
     path_status: tuple[str, ...]
     limit_pressure: Array
     message: tuple[str, ...]
+    parameters: tuple[str, ...] = ()
+    jacobian: Array | None = None
     info: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -133,6 +139,9 @@ class Response:
             raise InputError("values", self.values.shape, f"shape {(n, s, m)}")
         if self.status.shape != (n, s) or len(self.path_status) != n:
             raise InputError("status", self.status.shape, f"shape {(n, s)}")
+        wanted = (n, s, m, len(self.parameters))
+        if self.jacobian is not None and self.jacobian.shape != wanted:
+            raise InputError("jacobian", self.jacobian.shape, f"shape {wanted}")
 
     def output(self, name: str) -> Array:
         """(n, s) array of one quantity, SI."""

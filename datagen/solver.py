@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from .continuation import Options, Outcome, PathFollower, StepFailed, gauge
 from .equilibrium import Workspace
-from .observe import observe
+from .observe import Instruments
 from .problem import Problem
 from .response import CONVERGED, OUTPUT_NAMES, Path, Response
+from .sensitivity import Direction
 
 
 def solve(
@@ -20,6 +22,7 @@ def solve(
     workspace: Workspace | None = None,
     options: Options | None = None,
     explore: bool = False,
+    directions: Sequence[Direction] = (),
 ) -> Response:
     """Follow one problem along its load steps.
 
@@ -34,6 +37,8 @@ def solve(
     explore : bool
         Keep every equilibrium on the way to the last pressure, at the follower's
         own steps, and the limit point where there is one.
+    directions : sequence of Direction, optional
+        Parameters by which every value is differentiated, see `Sensitivity`.
 
     Returns
     -------
@@ -42,12 +47,13 @@ def solve(
         `message` say where it stopped and why.
     """
     began = time.perf_counter()
+    names = tuple(direction.name for direction in directions)
     try:
-        follower = PathFollower(problem, workspace, options)
+        follower = PathFollower(problem, workspace, options, directions)
         outcome = follower.run(path.pressure, path.time, explore)
     except StepFailed as failure:  # at rest, before the first load step
         outcome = Outcome().end(failure.status, f"{failure.detail}, at rest")
-        return _respond(problem, path.pressure, outcome)
+        return _respond(problem, path.pressure, outcome, names=names)
     pressure = path.pressure
     if explore:
         pressure = np.array(
@@ -64,7 +70,8 @@ def solve(
     limit = np.nan
     if follower.limit is not None:
         limit = gauge(problem, follower.limit.pressure)
-    return _respond(problem, pressure, outcome, limit, follower.first_volume, info)
+    rest = follower.first_volume
+    return _respond(problem, pressure, outcome, limit, rest, info, names)
 
 
 def _respond(
@@ -74,14 +81,19 @@ def _respond(
     limit: float = np.nan,
     first_volume: float = 0.0,
     info: dict[str, object] | None = None,
+    names: tuple[str, ...] = (),
 ) -> Response:
     """Response of one path; steps without a point carry the path's status."""
     steps = len(pressure)
     values = np.full((1, steps, len(OUTPUT_NAMES)), np.nan)
+    slopes = np.full((1, steps, len(OUTPUT_NAMES), len(names)), np.nan)
     states = np.full((1, steps), outcome.status, dtype="U16")
+    instruments = Instruments(problem)
     for i, point in outcome.points:
-        values[0, i] = observe(problem, point.x, point.volume - first_volume)
+        values[0, i] = instruments.read(point.x, point.volume - first_volume)
         states[0, i] = CONVERGED
+        if point.jacobian is not None:
+            slopes[0, i] = point.jacobian
     return Response(
         outputs=OUTPUT_NAMES,
         pressure=np.asarray(pressure, dtype=float)[None],
@@ -91,5 +103,7 @@ def _respond(
         path_status=(outcome.status,),
         limit_pressure=np.array([limit]),
         message=(outcome.message,),
+        parameters=names,
+        jacobian=slopes if names else None,
         info=info or {},
     )
