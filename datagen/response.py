@@ -112,12 +112,12 @@ class Response:
         Pressure at which the equilibrium path turns; NaN where it was not met.
     message : tuple of n str
         Where a path stopped and why, in words; empty where it was completed.
+    info : dict
+        What the producer wants to add (``unknowns``, ``seconds``, ...).
     parameters : tuple of k str
         Names of what `jacobian` differentiates by.
     jacobian : (n, s, m, k) array, SI, or None
         Derivatives of the values at fixed gauge pressure; NaN where there is no value.
-    info : dict
-        What the producer wants to add (``unknowns``, ``seconds``, ...).
     """
 
     outputs: tuple[str, ...]
@@ -128,9 +128,9 @@ class Response:
     path_status: tuple[str, ...]
     limit_pressure: Array
     message: tuple[str, ...]
+    info: dict[str, Any] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     jacobian: Array | None = None
-    info: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n, s = self.pressure.shape

@@ -107,6 +107,9 @@ class Answer:
         NaN where it was not met.
     info : mapping
         What the finite elements add: ``unknowns``, ``seconds``.
+    parameters : tuple of k str
+        Names of what `jacobian` differentiates by.
+    jacobian : (s, m, k) array, SI, or None
     """
 
     design: Design
@@ -124,6 +127,8 @@ class Answer:
     message: str = ""
     limit_pressure: float = math.nan
     info: Mapping[str, Any] = field(default_factory=dict)
+    parameters: tuple[str, ...] = ()
+    jacobian: np.ndarray | None = None
 
     def _columns(self) -> dict[str, tuple[list[float | None], ...]]:
         """Value, low and high by bench name, in bench units."""
@@ -172,7 +177,23 @@ class Answer:
 
     def to_solution(self) -> dict[str, Any]:
         """The JSON of ``pba solve``, where nobody asked the surrogate."""
-        return self._lists(interval=False) | self._end()
+        return self._lists(interval=False) | self._end() | self._sensitivities()
+
+    def _sensitivities(self) -> dict[str, Any]:
+        """Derivatives by quantity and parameter, in bench unit a bench unit."""
+        if self.jacobian is None:
+            return {}
+        found: dict[str, dict[str, list[float | None]]] = {}
+        for i, output in enumerate(self.outputs):
+            quantity = BY_FIELD[output]
+            columns = found.setdefault(quantity.name, {})
+            for k, name in enumerate(self.parameters):
+                by = BY_FIELD.get(name)  # an effect's parameter stays in its own unit
+                factor = (by.factor if by else 1.0) / quantity.factor
+                columns[by.name if by else name] = numbers(
+                    self.jacobian[:, i, k] * factor
+                )
+        return {"sensitivities": found}
 
     def _lists(self, interval: bool) -> dict[str, Any]:
         lists: dict[str, Any] = {"pressure_kPa": _kilopascal(self.pressure)}
@@ -232,6 +253,7 @@ def fem_answer(
     pressure: np.ndarray,
     in_range: bool = True,
     reasons: Sequence[str] = (),
+    sensitivities: bool = False,
 ) -> Answer:
     """What the finite elements compute; the interval has no width.
 
@@ -245,9 +267,12 @@ def fem_answer(
     pressure : (s,) array, Pa
     in_range, reasons
         What the surrogate said of this request.
+    sensitivities : bool
+        Differentiate, too; `model` must know how, as `datagen.model.Model` does.
     """
     start = time.perf_counter()
-    response = model([design], [Path(pressure)])
+    wanted = {"sensitivities": True} if sensitivities else {}
+    response = model([design], [Path(pressure)], **wanted)
     value = response.values[0]
     info = {"seconds": time.perf_counter() - start} | response.info
     return Answer(
@@ -266,4 +291,6 @@ def fem_answer(
         response.message[0],
         float(response.limit_pressure[0]),
         info,
+        response.parameters,
+        None if response.jacobian is None else response.jacobian[0],
     )

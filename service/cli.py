@@ -74,6 +74,13 @@ def solve(
     effects_dir: EffectsDir = None,
     pressures: Pressures = DEFAULT_PRESSURES,
     level: Level = "standard",
+    sensitivities: Annotated[
+        bool,
+        Option(
+            "--sensitivities",
+            help="Differentiate by design columns and effect parameters, too.",
+        ),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """One path by finite elements."""
@@ -89,10 +96,16 @@ def solve(
 
     model = Model(tuple(parameters), level, parameters, effects_dir)
     with _waiting("finite elements", as_json):
-        answer = fem_answer(model, fem_version(level), design, pressure)
+        answer = fem_answer(
+            model, fem_version(level), design, pressure, sensitivities=sensitivities
+        )
     lists = answer.to_solution() | {"level": level, "effects": parameters}
     if not as_json:
         _show_path(lists)
+        if sensitivities:
+            from .terminal import sensitivity_table
+
+            _print_rich(sensitivity_table(lists))
     else:
         _print_json(lists)
 

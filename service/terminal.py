@@ -91,6 +91,40 @@ def _number(lists: Mapping[str, Any], name: str, i: int) -> str:
     return text
 
 
+def sensitivity_table(lists: Mapping[str, Any]) -> Table:
+    """What a little more of each parameter changes at the highest pressure reached.
+
+    Parameters
+    ----------
+    lists : mapping
+        The JSON of ``pba solve --sensitivities``.
+    """
+    found = lists["sensitivities"]
+    first = next(iter(next(iter(found.values())).values()))
+    reached = [i for i, value in enumerate(first) if value is not None]
+    pressures = lists["pressure_kPa"]
+    at = max(reached, key=lambda i: abs(pressures[i]), default=0)
+    table = Table(
+        title=f"change at {pressures[at]:g} kPa", box=None, title_justify="left"
+    )
+    table.add_column("with")
+    for name in found:
+        unit = QUANTITY[name].unit
+        table.add_column(f"{SHORT[name]}\n{unit}", justify="right")
+    for name in next(iter(found.values())):
+        value = lists["design"].get(name)
+        label, step = (
+            (f"{escape(name)} +1 %", value / 100)
+            if value is not None
+            else (f"a unit of {escape(name)}", 1.0)
+        )
+        slopes = (columns[name][at] for columns in found.values())
+        table.add_row(
+            label, *("-" if s is None else f"{s * step:+.2g}" for s in slopes)
+        )
+    return table
+
+
 def verdict(lists: Mapping[str, Any]) -> str:
     """One line: which way the tip goes, how far the roof rises, how the path ended."""
     pressure, tip = lists["pressure_kPa"], lists["tip_deflection_mm"]

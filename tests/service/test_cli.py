@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -37,8 +37,18 @@ class FakeModel:
         if self.level not in ("draft", "standard", "fine"):
             raise InputError("level", self.level, "draft, standard, fine")
 
-    def __call__(self, designs: Sequence[Any], paths: Sequence[LoadPath]) -> Response:
-        return FakeFem()(designs, paths)
+    def __call__(
+        self,
+        designs: Sequence[Any],
+        paths: Sequence[LoadPath],
+        sensitivities: bool = False,
+    ) -> Response:
+        response = FakeFem()(designs, paths)
+        if not sensitivities:
+            return response
+        slopes = np.stack([response.values, 2 * response.values], axis=-1)
+        names = ("upper_thickness", "effect.parameter")
+        return replace(response, parameters=names, jacobian=slopes)
 
 
 @pytest.fixture(autouse=True)
@@ -86,6 +96,26 @@ def test_solve_json(pba: Any) -> None:
     assert data["limit_pressure_kPa"] is None
     assert (data["unknowns"], data["seconds"]) == (4321, 0.25)
     assert data["model_version"] == "fem-fake-standard"
+
+
+def test_sensitivities_are_in_bench_units(pba: Any) -> None:
+    data = the_json(pba("solve --pressures 10,300 --sensitivities --json"))
+    tip = data["sensitivities"]["tip_deflection_mm"]
+    # The fake differentiates to the value itself and to twice the value, in SI.
+    wanted = [None if v is None else v * 1e-6 for v in data["tip_deflection_mm"]]
+    assert tip["upper_thickness_um"] == pytest.approx(wanted)
+    assert tip["effect.parameter"] == pytest.approx(
+        [2 * v for v in data["tip_deflection_mm"]]
+    )
+    assert "sensitivities" not in the_json(pba("solve --pressures 10 --json"))
+
+
+def test_sensitivities_are_told_for_one_percent(pba: Any) -> None:
+    status, out, _ = pba("solve --pressures 10,40 --sensitivities")
+    assert status == 0
+    assert "change at 40 kPa" in out
+    assert "upper_thickness_um +1 %" in out
+    assert "a unit of effect.parameter" in out
 
 
 def test_default_pressures_and_bare_names(pba: Any) -> None:
