@@ -25,7 +25,7 @@ from .chart import Chart, Point
 from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
 from .linear import NotDefinite
 from .mixing import Mixing
-from .problem import Problem
+from .problem import Body, Problem
 from .sensitivity import Direction, Sensitivity
 
 Array = np.ndarray
@@ -38,7 +38,7 @@ class Options:
     Parameters
     ----------
     tolerance : float
-        Estimated error of every displacement over the strip's thickness.
+        Estimated error of every displacement over the thinnest wall.
     iterations : int
         Corrector iterations before a step is cut.
     contraction : float
@@ -50,7 +50,7 @@ class Options:
     factorisations : int
         Of one step before it is cut.
     predictor_error : float
-        Wanted distance of prediction and solution over the thinner membrane.
+        Wanted distance of prediction and solution over the thinnest wall.
     largest_error : float
         A solution further from its prediction is refused: it may lie on another
         branch, and thin membranes have many.
@@ -60,7 +60,7 @@ class Options:
     node_share : float
         Of every node's movement in the length of a step.
     first_step : float
-        Displacement of the first step over the thinner membrane.
+        Displacement of the first step over the thinnest wall.
     smallest_step : float
         Of the first step's volume; a smaller one ends the path.
     largest_growth : float
@@ -69,7 +69,7 @@ class Options:
         Steps of one path.
     """
 
-    tolerance: float = 1e-9
+    tolerance: float = 3e-9
     iterations: int = 30
     contraction: float = 0.9
     patience: int = 6
@@ -125,7 +125,7 @@ class PathFollower:
 
     Parameters
     ----------
-    problem : Problem
+    problem : Body
     workspace : Workspace, optional
         Shared by problems of the same topology.
     options : Options, optional
@@ -135,7 +135,7 @@ class PathFollower:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: Body,
         workspace: Workspace | None = None,
         options: Options | None = None,
         directions: Sequence[Direction] = (),
@@ -144,16 +144,16 @@ class PathFollower:
         self.workspace = workspace or Workspace()
         self.options = options or Options()
         self.equations = Equilibrium(problem, self.workspace)
-        self._sensitivity = (
-            Sensitivity(problem, directions, self.workspace) if directions else None
-        )
+        self._sensitivity: Sensitivity | None = None
+        if directions:
+            assert isinstance(problem, Problem), "outputs are those of a device"
+            self._sensitivity = Sensitivity(problem, directions, self.workspace)
         self._differentiate = bool(directions)
         self.counters = Counters()
         self.limit: Point | None = None
-        design = problem.design
         self._rate = 1.0  # seconds a pascal of the way to the next target
-        self._thin = min(design.upper_thickness, design.lower_thickness)
-        self._tolerance = self.options.tolerance * design.thickness
+        self._thin = problem.thin
+        self._tolerance = self.options.tolerance * self._thin
         self._definite = True
         self._before: Point | None = None
         self._keep_all = False
@@ -164,12 +164,12 @@ class PathFollower:
             problem.nodes[faces[:, i]] - problem.nodes[faces[:, j]]
             for i, j in ((2, 0), (3, 1))
         )
-        self._area = float(np.linalg.norm(np.cross(one, two), axis=1).sum() / 2)
+        self._area = float(np.linalg.norm(np.cross(one, two), axis=1).sum() / 2) or 1.0
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
         self.point = self._start()
         self._last = [self.point]
         first = self.options.first_step * self._thin
-        self._step = first / _largest(self.point.direction)
+        self._step = first / (_largest(self.point.direction) or 1.0)
         self._smallest = self.options.smallest_step * self._step
 
     # -- linear algebra ------------------------------------------------------------
@@ -294,7 +294,7 @@ class PathFollower:
         walls = eq.extend(ev.volume_gradient) / self._area
         nodes = self.options.node_share**2 / len(direction)
         normal = np.vdot(walls, direction) * walls + nodes * direction
-        length = float(np.sqrt(np.vdot(normal, direction)))
+        length = float(np.sqrt(np.vdot(normal, direction))) or np.inf
         if self.point is not None and np.vdot(normal, self.point.direction) < 0:
             length = -length  # past a limit point the path goes on, the pressure falls
         point = Point(
@@ -324,6 +324,8 @@ class PathFollower:
         eq = self.equations
         load = self._solver.solve(ev.volume_gradient)
         scale = float(np.abs(load).max())
+        if scale == 0:  # a body without a cavity
+            return load
         lack, aim, last = ev.volume_gradient.copy(), load, load * 0.0
         load, before = last, 1.0
         for _ in range(self.options.tangent_iterations):
@@ -545,6 +547,6 @@ def _extrapolate(known: list[tuple[float, Array]], where: float) -> Array:
     return guess
 
 
-def gauge(problem: Problem, pressure: float) -> float:
+def gauge(problem: Body, pressure: float) -> float:
     """Gauge pressure of a cavity pressure, Pa."""
     return (pressure - problem.pressure_offset) / problem.pressure_gain

@@ -16,7 +16,7 @@ from numba import njit
 from . import elements as el
 from .linear import Solver, default_backend, make_solver
 from .mesh import LOWER, UPPER, reference
-from .problem import Problem
+from .problem import Body
 
 Array = np.ndarray
 
@@ -180,7 +180,7 @@ class Workspace:
             OrderedDict()
         )
 
-    def pattern(self, problem: Problem) -> tuple[Pattern, dict[bool, Solver]]:
+    def pattern(self, problem: Body) -> tuple[Pattern, dict[bool, Solver]]:
         """The problem's pattern and the solvers made for it so far."""
         cells, faces = problem.mesh.cells, problem.mesh.cavity_faces
         key = cells.tobytes() + faces.tobytes() + np.packbits(problem.fixed).tobytes()
@@ -191,7 +191,7 @@ class Workspace:
             self._kept.popitem(last=False)
         return self._kept[key]
 
-    def solver(self, problem: Problem, definite: bool) -> Solver:
+    def solver(self, problem: Body, definite: bool) -> Solver:
         """A solver for the problem's pattern, analysed once."""
         pattern, solvers = self.pattern(problem)
         if definite not in solvers:
@@ -223,11 +223,11 @@ class Equilibrium:
 
     Parameters
     ----------
-    problem : Problem
+    problem : Body
     workspace : Workspace
     """
 
-    def __init__(self, problem: Problem, workspace: Workspace) -> None:
+    def __init__(self, problem: Body, workspace: Workspace) -> None:
         self.problem, self.workspace = problem, workspace
         mesh = problem.mesh
         self.pattern, _ = workspace.pattern(problem)
@@ -260,6 +260,8 @@ class Equilibrium:
             mass = (weight * problem.density[:, None]) @ reference().shape
             for i in range(3):
                 np.add.at(body[:, i], mesh.cells, share * mass * problem.gravity[i])
+        if problem.forces is not None:
+            body += share * problem.forces
         self._body = self.restrict(body)
 
     def restrict(self, field: Array) -> Array:

@@ -231,8 +231,8 @@ def reference() -> Reference:
 
 
 @dataclass(frozen=True)
-class StripMesh:
-    """Nodes, elements and named parts of the half strip.
+class Mesh:
+    """What the solver needs to know of any body of two layers around cavities.
 
     Parameters
     ----------
@@ -243,13 +243,33 @@ class StripMesh:
     layer : (e,) array of int
         `LOWER` or `UPPER`.
     cavity_faces : (f, 9) array of int
-        Faces of the cavity walls; x_xi cross x_eta points out of the cavity.
-    balloon : (f,) array of int
-        Number of the balloon each face belongs to.
+        Faces of the cavity walls; x_xi cross x_eta points out of the cavity.  They
+        enclose the cavity together with planes through the origin and with edges that
+        do not move; a follower pressure then has a potential.
     gap : (g, 2) array of int
         Pairs of floor and roof nodes that face each other.
     gap_wall : (g,) array of int
         For each pair the pair on the outer wall at the same x, which keeps apart.
+    """
+
+    nodes: Array
+    cells: Array
+    layer: Array
+    cavity_faces: Array
+    gap: Array
+    gap_wall: Array
+
+
+@dataclass(frozen=True)
+class StripMesh(Mesh):
+    """Nodes, elements and named parts of the half strip.
+
+    Parameters
+    ----------
+    nodes, cells, layer, cavity_faces, gap, gap_wall
+        See `Mesh`.
+    balloon : (f,) array of int
+        Number of the balloon each face belongs to.
     root : (r,) array of int
         Nodes of the clamped face x = 0.
     mid_plane : (k,) array of int
@@ -265,13 +285,7 @@ class StripMesh:
     level : MeshLevel
     """
 
-    nodes: Array
-    cells: Array
-    layer: Array
-    cavity_faces: Array
     balloon: Array
-    gap: Array
-    gap_wall: Array
     root: Array
     mid_plane: Array
     lines: dict[str, Array]

@@ -24,7 +24,7 @@ import numpy as np
 
 from .device import POISSON, Design
 from .materials import Hyperelastic, Law
-from .mesh import UPPER, MeshLevel, StripMesh, build_mesh
+from .mesh import UPPER, Mesh, MeshLevel, StripMesh, build_mesh
 
 Array = np.ndarray
 
@@ -44,15 +44,15 @@ Observer = Callable[[dict[str, float], Array, Array], dict[str, float]]
 
 
 @dataclass(frozen=True)
-class Problem:
-    """Everything the solver needs to know of one device.
+class Body:
+    """Everything the solver needs to know of one body under pressure.
 
     Parameters
     ----------
-    design : Design
-        What the problem was made from.
-    mesh : StripMesh
-        Topology and named parts; its own nodes are those of the baseline.
+    mesh : Mesh
+        Topology; its own nodes are those of the baseline.
+    thin : float, m
+        Thickness of the thinnest wall, by which steps and tolerances are measured.
     nodes : (n, 3) array, m
         Stress-free node positions.
     laws : (Law, Law)
@@ -67,12 +67,12 @@ class Problem:
         Displacements that are held at zero.
     pressure_gain, pressure_offset : float, 1 and Pa
         Cavity pressure = gain times gauge pressure + offset.
-    observers : tuple of Observer
-        What the instruments make of the outputs, applied in order.
+    forces : (n, 3) array, N, or None
+        Dead loads on the nodes, there from the start.
     """
 
-    design: Design
-    mesh: StripMesh
+    mesh: Mesh
+    thin: float
     nodes: Array
     laws: tuple[Law, Law]
     shear_modulus: Array
@@ -83,13 +83,36 @@ class Problem:
     fixed: Array
     pressure_gain: float = 1.0
     pressure_offset: float = 0.0
-    observers: tuple[Observer, ...] = ()
+    forces: Array | None = None
 
     @property
     def loaded_at_rest(self) -> bool:
-        """True when something acts on the strip at zero gauge pressure."""
+        """True when something acts on the body at zero gauge pressure."""
         weighs = bool((self.density != 0).any() and (self.gravity != 0).any())
-        return weighs or self.growth is not None or self.pressure_offset != 0
+        acts = self.growth is not None or self.forces is not None
+        return weighs or acts or self.pressure_offset != 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem(Body):
+    """The boundary-value problem of one device.
+
+    Parameters
+    ----------
+    mesh, thin, nodes, laws, shear_modulus, bulk_modulus, growth, density, gravity,
+    fixed, pressure_gain, pressure_offset, forces
+        See `Body`.
+    design : Design
+        What the problem was made from.
+    mesh : StripMesh
+        With its named parts.
+    observers : tuple of Observer
+        What the instruments make of the outputs, applied in order.
+    """
+
+    design: Design
+    mesh: StripMesh
+    observers: tuple[Observer, ...] = ()
 
 
 def lame(modulus: Array, poisson: float = POISSON) -> tuple[Array, Array]:
@@ -108,6 +131,7 @@ def baseline(design: Design, level: MeshLevel) -> Problem:
     return Problem(
         design=design,
         mesh=mesh,
+        thin=min(design.upper_thickness, design.lower_thickness),
         nodes=mesh.nodes,
         laws=(Hyperelastic(), Hyperelastic()),
         shear_modulus=shear,
