@@ -92,6 +92,75 @@ class NeoHookean:
 
 
 @dataclass(frozen=True)
+class Gent:
+    """What = -mu/(2 s) ln(1 - s (I1bar - 3)): chains of limited length (Gent 1996).
+
+    Parameters
+    ----------
+    stiffening : float
+        s = 1/Jm, the inverse of the largest I1bar - 3; 0 is the neo-Hookean law.
+
+    Past the largest stretch there is no energy, and every number is NaN.
+    """
+
+    stiffening: float = 0.0
+
+    def derivatives(self, i1: Array, i2: Array, mu: Array) -> EnergyDerivatives:
+        s, zero = self.stiffening, np.zeros_like(i1)
+        room = 1 - s * (i1 - 3)
+        room = np.where(room > 0, room, np.nan)
+        w = mu / 2 * (-np.log(room) / s if s else i1 - 3)
+        slope = mu / 2 / room
+        return EnergyDerivatives(w, slope, zero, s * slope / room, zero, zero)
+
+
+@dataclass(frozen=True)
+class Yeoh:
+    """What = C1 (x + c2 x^2 + c3 x^3), x = I1bar - 3, 2 C1 = mu (Yeoh 1993).
+
+    Parameters
+    ----------
+    second, third : float
+        c2 = C2/C1 and c3 = C3/C1; with both 0 the law is neo-Hookean.
+    """
+
+    second: float = 0.0
+    third: float = 0.0
+
+    def derivatives(self, i1: Array, i2: Array, mu: Array) -> EnergyDerivatives:
+        x, zero = i1 - 3, np.zeros_like(i1)
+        a, b = self.second, self.third
+        return EnergyDerivatives(
+            mu / 2 * x * (1 + x * (a + b * x)),
+            mu / 2 * (1 + x * (2 * a + 3 * b * x)),
+            zero,
+            mu / 2 * (2 * a + 6 * b * x),
+            zero,
+            zero,
+        )
+
+
+@dataclass(frozen=True)
+class MooneyRivlin:
+    """What = C1 (I1bar - 3) + C2 (I2bar - 3), 2 C1 = mu (Mooney 1940, Rivlin 1948).
+
+    Parameters
+    ----------
+    second : float
+        C2/C1; 0 is the neo-Hookean law.  mu stays the modulus of the first term
+        alone: the shear modulus at small strain is mu (1 + C2/C1).
+    """
+
+    second: float = 0.0
+
+    def derivatives(self, i1: Array, i2: Array, mu: Array) -> EnergyDerivatives:
+        zero, c2 = np.zeros_like(i1), self.second
+        return EnergyDerivatives(
+            mu / 2 * (i1 - 3 + c2 * (i2 - 3)), mu / 2, c2 * mu / 2, zero, zero, zero
+        )
+
+
+@dataclass(frozen=True)
 class Hyperelastic:
     """The law of an isochoric strain energy; it has no history."""
 

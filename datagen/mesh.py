@@ -297,7 +297,7 @@ class StripMesh(Mesh):
 _FACE_AXES = {0: (1, 2), 1: (2, 0), 2: (0, 1)}
 
 
-def _face_nodes(axis: int, side: int) -> Array:
+def face_nodes(axis: int, side: int) -> Array:
     """Lattice numbers of one face, ordered so that its normal points inwards.
 
     Inwards is into the solid element, which is out of the cavity on its other side.
@@ -381,7 +381,7 @@ def build_mesh(design: Design, level: MeshLevel) -> StripMesh:
             hit = np.full(len(cells), -1)
             hit[ok] = number[tuple(beside[ok].T)]
             chosen = np.nonzero(hit >= 0)[0]
-            faces.append(cells[chosen][:, _face_nodes(axis, side)])
+            faces.append(cells[chosen][:, face_nodes(axis, side)])
             balloons.append(hit[chosen])
 
     def row(y_value: float, z_value: float) -> Array:
