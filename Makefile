@@ -16,10 +16,10 @@ REFERENCE := runs/reference
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test lint format docs figures reference kill-test system pins clean
+.PHONY: help run test lint format docs verification figures reference kill-test system pins clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
 
 run: $(INSTALLED) ## install what is missing, then serve on http://127.0.0.1:8000
 	$(BIN)/pba serve --port $(PORT)
@@ -38,6 +38,9 @@ format: $(TESTABLE) ## let ruff rewrite the sources in the project's format
 
 docs: $(TESTABLE) ## measure again every number that the documents quote
 	$(BIN)/python docs/measure.py
+
+verification: $(TESTABLE) ## run every benchmark, break the solver on purpose, write it down
+	$(BIN)/python -m docs.verify
 
 figures: $(TESTABLE) ## draw the pictures of the README again
 	$(BIN)/python -m examples.readme_figures

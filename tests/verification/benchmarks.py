@@ -26,7 +26,6 @@ LEVELS = ("standard", "fine")
 BOUND = {"standard": 5e-3, "fine": 1e-3}
 """Largest relative error: the bar of this project."""
 
-
 MESH = {"standard": (2, 2), "fine": (4, 4)}
 """Of sphere and tube: elements through the wall, and along 45 degrees."""
 
@@ -60,14 +59,12 @@ class Benchmark:
     title : str.  about : str; what is solved, and against what, for the document.
     mesh : dict of level to str.
     rows : function of the level.
-    bound : dict of level to float; `BOUND`, or less strict where `about` says why.
     """
 
     title: str
     about: str
     mesh: dict[str, str]
     rows: Callable[[str], Iterator[Row]]
-    bound: dict[str, float]
 
 
 class Failed(AssertionError):
@@ -84,12 +81,6 @@ def follow(body: Body, *legs: float) -> tuple[PathFollower, list[Point]]:
         if outcome.status not in ("completed", "limit_point"):
             raise Failed(f"{outcome.status}: {outcome.message}")
     return follower, points
-
-
-def nearest(points: list[Point], values: Array, wanted: float) -> tuple[float, Point]:
-    """The point of a path whose value is nearest to a wanted one."""
-    best = int(np.argmin(np.abs(values - wanted)))
-    return float(values[best]), points[best]
 
 
 def node_at(body: Body, *place: float) -> int:
@@ -113,45 +104,49 @@ def _wall(
 def _pick(
     case: str, found: list[tuple[float, float, float, int]], wanted: tuple[float, ...]
 ) -> Iterator[Row]:
-    """Rows of the points nearest to the wanted stretches."""
+    """Rows of the points nearest to the wanted stretches but the first, from which on
+    the worst point of all is the last row."""
     stretches = np.array([la for la, *_ in found])
-    for la in wanted:
-        at, right, computed, unknowns = found[int(np.argmin(np.abs(stretches - la)))]
-        yield Row(case, f"p/mu at la = {at:.3f}", right, computed, unknowns)
+    for la in wanted[1:]:
+        _, right, computed, unknowns = found[int(np.argmin(np.abs(stretches - la)))]
+        yield Row(case, f"p/mu near la = {la}", right, computed, unknowns)
+    what = f"p/mu, worst from la = {wanted[0]}"
+    rows = (Row(case, what, *rest) for la, *rest in found if la >= wanted[0])
+    yield max(rows, key=lambda row: abs(row.error))
 
 
 def sphere_rows(level: str) -> Iterator[Row]:
     through, around = MESH[level]
     for k in (1.1, 1.5, 2.0):
         limit, _ = exact.sphere_limit(k)
-        legs = [1.1 * limit, exact.sphere_pressure(3.0, k)]
-        for case, bulk, pressure, highest in (
+        for case, bulk, lowest, pressure, highest in (
             (
                 f"nu = 0.48, k = {k}",
                 SOFT,
+                1.05,
                 lambda la, k=k: exact.radial(la, k, 3, SOFT)[0],  # type: ignore[misc]
                 exact.radial_limit(k, SOFT),
             ),
             (
                 f"incompressible, k = {k}",
                 STIFF[level],
+                1.25,
                 lambda la, k=k: exact.sphere_pressure(la, k),  # type: ignore[misc]
                 limit,
             ),
         ):
             body = bodies.sphere(k, through, around, bulk)
-            found = list(_wall(body, 3, pressure, legs))
+            found = list(_wall(body, 3, pressure, [1.1 * highest, pressure(3.0)]))
             top = max(pressure for _, _, pressure, _ in found)
-            yield from _pick(case, found, (1.25,))
             yield Row(case, "largest p/mu", highest, top, found[0][3])
-            yield from _pick(case, found, (2.3, 3.0))
+            yield from _pick(case, found, (lowest, 3.0))
     law = exact.gent(10)
     body = bodies.sphere(1.5, through, around, SOFT, Gent(0.1))
     top = exact.radial(2.3, 1.5, 3, SOFT, law)[0]
     found = list(
         _wall(body, 3, lambda la: exact.radial(la, 1.5, 3, SOFT, law)[0], [top])
     )
-    yield from _pick("nu = 0.48, Gent, Jm = 10, k = 1.5", found, (1.5, 2.0, 2.3))
+    yield from _pick("nu = 0.48, Gent, Jm = 10, k = 1.5", found, (1.05, 1.5, 2.3))
 
 
 def tube_rows(level: str) -> Iterator[Row]:
@@ -189,7 +184,7 @@ def tube_rows(level: str) -> Iterator[Row]:
         body = bodies.tube(k, through, 2 * around, bulk, energy)
         top = pressure(2.5)
         found = list(_wall(body, 2, pressure, [top / 4, top]))
-        yield from _pick(name, found, (1.1, 1.5, 2.5))
+        yield from _pick(name, found, (1.05, 1.5, 2.5))
 
 
 # -- membranes -------------------------------------------------------------------------
@@ -289,7 +284,6 @@ BENCHMARKS: dict[str, Benchmark] = {
             "fine": "3 patches of 4 x 4 elements, 4 through the wall",
         },
         sphere_rows,
-        BOUND,
     ),
     "tube": Benchmark(
         "Thick tube in plane strain",
@@ -300,7 +294,6 @@ BENCHMARKS: dict[str, Benchmark] = {
             "fine": "8 elements around, 4 through the wall",
         },
         tube_rows,
-        BOUND,
     ),
     "strip": Benchmark(
         "Long clamped strip membrane",
@@ -313,7 +306,6 @@ BENCHMARKS: dict[str, Benchmark] = {
             "fine": "24 elements along, graded to H at the clamp, 2 through",
         },
         strip_rows,
-        BOUND,
     ),
     "plate": Benchmark(
         "Bulge of a clamped rectangular membrane, b/a = 4",
@@ -326,7 +318,6 @@ BENCHMARKS: dict[str, Benchmark] = {
             "fine": "36 x 24 elements, 1 through, h/a = 0.01",
         },
         plate_rows,
-        BOUND,
     ),
     "cantilever": Benchmark(
         "Cantilever under a dead end load",
@@ -334,7 +325,6 @@ BENCHMARKS: dict[str, Benchmark] = {
         "narrow, against the elastica. Shear and stretch are of order (h/L)^2.",
         {"standard": "40 elements along, 1 through", "fine": "80 along, 1 through"},
         cantilever_rows,
-        BOUND,
     ),
     "bimorph": Benchmark(
         "Two layers that grow apart",
@@ -347,9 +337,25 @@ BENCHMARKS: dict[str, Benchmark] = {
             "fine": "20 elements along, 1 through each layer",
         },
         bimorph_rows,
-        BOUND,
     ),
 }
+
+
+def stiffening() -> list[tuple[float, int, float]]:
+    """Sphere, k = 2, near la = 1.1: K/mu, elements through the wall, error of p.
+
+    Against the boundary-value problem of the same K, so that only the mesh counts.
+    """
+    found = []
+    for bulk in (SOFT, STIFF["standard"], STIFF["fine"]):
+        for count in (2, 4):
+            body = bodies.sphere(2.0, count, count, bulk)
+            pressure = exact.radial(1.1, 2.0, 3, bulk)[0]
+            follower, points = follow(body, pressure)
+            la = (points[-1].volume / follower.first_volume) ** (1 / 3)
+            right = exact.radial(la, 2.0, 3, bulk)[0]
+            found.append((bulk, count, pressure / right - 1))
+    return found
 
 
 @cache

@@ -9,20 +9,19 @@ from datagen.continuation import PathFollower
 
 from . import bodies
 from . import closed_forms as exact
-from .benchmarks import BENCHMARKS, follow, run
+from .benchmarks import BENCHMARKS, BOUND, follow, run
 
 QUICK = ("tube", "strip", "bimorph")
 """Benchmarks whose fine mesh is cheap; ``make verification`` does all of them."""
 
 
 def judge(name: str, level: str) -> None:
-    bound = BENCHMARKS[name].bound[level]
     rows = run(name, level)
     assert rows
     wrong = [
         f"{row.case}, {row.quantity}: {row.exact:.6g} exactly, {row.computed:.6g}"
         for row in rows
-        if not abs(row.error) <= bound
+        if not abs(row.error) <= BOUND[level]
     ]
     assert wrong == []
 
