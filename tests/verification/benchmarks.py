@@ -258,9 +258,9 @@ def bimorph_rows(level: str) -> Iterator[Row]:
         lower = 1 - upper
         body = bodies.bimorph(lower, upper, 1 / ratio, mismatch, along)
         follower = PathFollower(body)
-        # A circle through the symmetry plane's lower edge, where its tangent is level.
+        # A circle that leaves the origin level; the lower layer grows, so it bends up.
         x, _, z = follower.point.x[node_at(body, 10.0, 0.0, 0.0)]
-        curvature = 2 * abs(z) / (x**2 + z**2)
+        curvature = 2 * z / (x**2 + z**2)
         yield Row(
             f"t1/t2 = {upper / lower:.4f}, E1/E2 = {ratio:.4f}",
             "kappa h / d_eps",

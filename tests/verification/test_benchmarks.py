@@ -60,12 +60,16 @@ def test_sphere_goes_through_its_limit_pressure() -> None:
 def test_stability_is_lost_at_the_limit() -> None:
     """The tangent has one negative eigenvalue beyond the limit, none before."""
     limit, _ = exact.sphere_limit(1.5)
-    follower, points = follow(bodies.sphere(1.5, 1, 1, 25.0), 1.1 * limit)
+    body = bodies.sphere(1.5, 1, 1, 25.0)
+    follower, points = follow(body, 1.1 * limit, 0.6 * limit)
     assert follower.limit is not None
     peak = follower.limit.volume
-    for point in points:
-        if abs(point.volume / peak - 1) > 1e-2:
-            assert point.negative == (1 if point.volume > peak else 0)
+    before = [point.negative for point in points if point.volume < 0.99 * peak]
+    beyond = [point.negative for point in points if point.volume > 1.01 * peak]
+    assert len(before) > 2
+    assert set(before) == {0}
+    assert len(beyond) > 2
+    assert set(beyond) == {1}
 
 
 def test_closed_cavities_have_their_volume() -> None:
