@@ -200,6 +200,14 @@ def generate(
             metavar="KPA",
         ),
     ] = 150.0,
+    sensitivities: Annotated[
+        int,
+        Option(
+            help="Differentiate the outputs of the first K paths, too.",
+            parser=whole("--sensitivities", 0, MANY_DESIGNS),
+            metavar="K",
+        ),
+    ] = 0,
     as_json: AsJson = False,
 ) -> None:
     """A dataset of paths by finite elements, over a Latin hypercube of designs."""
@@ -229,6 +237,7 @@ def generate(
                 scheduler=scheduler,
                 resume=resume,
                 max_pressure=PRESSURE.to_si(max_pressure),
+                sensitivities=sensitivities,
                 progress=update,
             )
         except Interrupted as stop:
