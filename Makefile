@@ -5,7 +5,9 @@ VENV      ?= .venv
 PORT      ?= 8000
 DESIGNS   ?= 304
 SEED      ?= 1
-LEVEL     ?= draft
+LEVEL     ?= standard
+CASES     ?= 1,2,3,4
+MESHES    ?= 3
 WORKERS   ?= $(shell nproc 2>/dev/null || echo 2)
 
 BIN       := $(VENV)/bin
@@ -16,7 +18,8 @@ REFERENCE := runs/reference
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test lint format docs verification figures reference kill-test system pins clean
+.PHONY: help run test lint format docs verification figures refinement reference \
+    kill-test system pins clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -44,6 +47,9 @@ verification: $(TESTABLE) ## run every benchmark, break the solver on purpose, w
 
 figures: $(TESTABLE) ## draw the pictures of the README again
 	$(BIN)/python -m examples.readme_figures
+
+refinement: $(INSTALLED) ## settle the published device on refined meshes (hours)
+	OMP_NUM_THREADS=1 $(BIN)/python docs/refine.py $(CASES) $(MESHES)
 
 # Built aside and copied when complete: an interrupted run, which goes on where it
 # stopped, never leaves half a model in the package.

@@ -16,7 +16,7 @@ Corrector: Newton's method that keeps its factorisation while the contraction is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -465,7 +465,11 @@ class PathFollower:
         return best
 
     def run(
-        self, targets: Array, times: Array | None = None, keep_all: bool = False
+        self,
+        targets: Array,
+        times: Array | None = None,
+        keep_all: bool = False,
+        far_enough: Callable[[Point], bool] | None = None,
     ) -> Outcome:
         """Visit gauge pressures in turn, as far as the path goes.
 
@@ -476,6 +480,9 @@ class PathFollower:
             Of each target; one second a target where not given.
         keep_all : bool
             Keep the points on the way and the limit point, too.
+        far_enough : callable, optional
+            Go on past a limit point until this is true of a point; all points there
+            are kept.  Without it the path ends at the limit point.
 
         Returns
         -------
@@ -495,40 +502,54 @@ class PathFollower:
             self._heading = 1.0 if rising else -1.0
             while True:
                 if self.counters.steps >= self.options.max_steps:
-                    return outcome.end(
-                        "step_limit", f"after {self.counters.steps} steps"
+                    return self._end(
+                        outcome, "step_limit", f"after {self.counters.steps} steps"
                     )
                 slope = self.point.slope
                 try:
                     reached = self.advance(target)
                 except StepFailed as failure:
-                    at = gauge(problem, self.point.pressure) / 1e3
-                    return outcome.end(
-                        failure.status, f"{failure.detail}, past {at:.4g} kPa"
-                    )
-                if slope > 0 and self.point.slope <= 0:
+                    words = f"{failure.detail}, past {self._at()}"
+                    return self._end(outcome, failure.status, words)
+                if self.limit is None and slope > 0 and self.point.slope <= 0:
                     self.limit = self.locate_limit()
-                    at = gauge(problem, self.limit.pressure) / 1e3
-                    if keep_all:
+                    if keep_all or far_enough is not None:
                         outcome.keep(i, self.limit)
-                    return outcome.end("limit_point", f"the path turns at {at:.4g} kPa")
+                    if far_enough is None:
+                        return self._end(outcome, "limit_point", "")
                 if self.touching():
-                    at = gauge(problem, self.point.pressure) / 1e3
-                    return outcome.end(
-                        "contact", f"roof and floor touch at {at:.4g} kPa"
-                    )
-                if reached or keep_all:
+                    words = f"roof and floor touch at {self._at()}"
+                    return self._end(outcome, "contact", words)
+                if reached or keep_all or self.limit is not None:
                     outcome.keep(i, self.point)
                 if reached:
                     break
-        return outcome
+                if self.limit is not None and far_enough and far_enough(self.point):
+                    return self._end(outcome, "limit_point", f"ends at {self._at()}")
+        return outcome if self.limit is None else self._end(outcome, "completed", "")
+
+    def _end(self, outcome: Outcome, status: str, words: str) -> Outcome:
+        """End a path; one that has turned says so first, whatever came after."""
+        if self.limit is None:
+            return outcome.end(status, words)
+        turned = f"the path turns at {self._at(self.limit)}"
+        more = f"; followed beyond: {words}" if words else ""
+        return outcome.end("limit_point", turned + more)
+
+    def _at(self, point: Point | None = None) -> str:
+        """Gauge pressure of a point in words."""
+        pressure = (point or self.point).pressure
+        return f"{gauge(self.problem, pressure) / 1e3:.4g} kPa"
 
     def touching(self) -> bool:
         """True when a roof node has gone through the floor node under it."""
         mesh, x = self.problem.mesh, self.point.x
         across = x[mesh.gap[:, 1]] - x[mesh.gap[:, 0]]
         side = across[mesh.gap_wall]
-        return bool((np.sum(across * side, axis=1) <= 0).any())
+        through = np.sum(across * side, axis=1) <= 0
+        # Far apart they may well stand at an angle: a wall that a large balloon turns.
+        near = np.linalg.norm(across, axis=1) <= np.linalg.norm(side, axis=1)
+        return bool((through & near).any())
 
 
 def _largest(field: Array) -> float:

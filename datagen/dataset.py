@@ -29,8 +29,11 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 SCHEMA = "pba-dataset"
-SCHEMA_VERSION = 1
-"""Raised whenever an older reader would misread a newer file."""
+SCHEMA_VERSION = 2
+"""Raised whenever an older reader would misread a newer file; 2 brought derivatives.
+
+A dataset without derivatives is still written as version 1, which is the same then.
+"""
 
 LONG_NAMES = {
     "balloon_length": "length of all balloons together, walls excluded",
@@ -110,7 +113,13 @@ class Dataset:
         Version of the model that computed the values.
     max_pressure : float, Pa
         Where paths end that meet no limit point.
-    schema_version : int
+    sensitivities : int
+        How many rows, from the first, have derivatives.
+    parameters : tuple of k str
+        What the outputs are differentiated by; empty without derivatives.
+    jacobian : (n, s, m, k) array, SI, or None
+        Derivatives at fixed gauge pressure; NaN at limit points, in rows without
+        derivatives and where a step was not reached.
 
     Raises
     ------
@@ -133,7 +142,9 @@ class Dataset:
     effects: tuple[str, ...]
     generator_version: str
     max_pressure: float = MAX_PRESSURE
-    schema_version: int = SCHEMA_VERSION
+    sensitivities: int = 0
+    parameters: tuple[str, ...] = ()
+    jacobian: Array | None = None
 
     def __post_init__(self) -> None:
         for name in ("inputs", "pressure", "values", "limit_pressure"):
@@ -149,6 +160,10 @@ class Dataset:
             "limit_pressure": (n,),
             "message": (n,),
         }
+        if (self.jacobian is None) != (not self.parameters):
+            raise InputError("parameters", len(self.parameters), "those of jacobian")
+        if self.jacobian is not None:
+            shapes["jacobian"] = (n, s, m, len(self.parameters))
         for name, shape in shapes.items():
             given = np.shape(getattr(self, name))
             if given != shape:
@@ -211,8 +226,11 @@ class Dataset:
         """Those rows alone, in that order."""
         chosen = np.arange(len(self))[np.asarray(rows)]
         arrays = ("inputs", "pressure", "values", "status", "limit_pressure")
+        slopes = None if self.jacobian is None else self.jacobian[chosen]
         return replace(
             self,
+            jacobian=slopes,
+            sensitivities=int((chosen < self.sensitivities).sum()),
             path_status=tuple(self.path_status[i] for i in chosen),
             message=tuple(self.message[i] for i in chosen),
             **{name: getattr(self, name)[chosen] for name in arrays},
@@ -234,6 +252,11 @@ class Dataset:
             # All NaN alike: their payload bits mean nothing.
             clean = np.where(np.isnan(array), np.nan, array).astype("<f8")
             add(f"{name} {array.shape}", clean.tobytes())
+        if self.jacobian is not None:
+            clean = np.where(np.isnan(self.jacobian), np.nan, self.jacobian)
+            add(f"jacobian {clean.shape}", clean.astype("<f8").tobytes())
+            add("parameters", json.dumps(self.parameters).encode())
+            add("sensitivities", json.dumps(self.sensitivities).encode())
         for name in ("variables", "outputs", "path_status", "message", "effects"):
             add(name, json.dumps(getattr(self, name)).encode())
         for name in ("seed", "level", "generator_version", "max_pressure"):
@@ -256,12 +279,19 @@ class Dataset:
         s = max(1, *(len(row.pressure) for row in ordered))
         pressure, values = np.full((n, s), np.nan), np.full((n, s, m), np.nan)
         status = np.full((n, s), STEP_STATUS.index(NO_STEP), dtype=np.int8)
+        with_slopes = [row for row in ordered if row.jacobian is not None]
+        parameters = with_slopes[0].parameters if with_slopes else ()
+        jacobian = np.full((n, s, m, len(parameters)), np.nan) if parameters else None
         for i, row in enumerate(ordered):
             if row.row != i or row.outputs != outputs:
                 raise InputError("rows", row.row, f"row {i} with {', '.join(outputs)}")
             steps = len(row.pressure)
             pressure[i, :steps], values[i, :steps] = row.pressure, row.values
             status[i, :steps] = row.status
+            if row.jacobian is not None and jacobian is not None:
+                if row.parameters != parameters:
+                    raise InputError("rows", row.row, f"with {', '.join(parameters)}")
+                jacobian[i, :steps] = row.jacobian
         return cls(
             pressure=pressure,
             outputs=outputs,
@@ -270,6 +300,8 @@ class Dataset:
             path_status=tuple(row.path_status for row in ordered),
             message=tuple(row.message for row in ordered),
             limit_pressure=np.array([row.limit_pressure for row in ordered]),
+            parameters=parameters,
+            jacobian=jacobian,
             **fixed,
         )
 
@@ -373,7 +405,7 @@ def _write(file: h5py.File, data: Dataset) -> None:
         {
             "title": "Inflation paths of pneumatic balloon actuators",
             "schema": SCHEMA,
-            "schema_version": np.int64(data.schema_version),
+            "schema_version": np.int64(SCHEMA_VERSION if data.parameters else 1),
             "generator_version": data.generator_version,
             "row_count": np.int64(rows),
             "seed": np.int64(data.seed),
@@ -384,11 +416,16 @@ def _write(file: h5py.File, data: Dataset) -> None:
             "sha256": data.digest(),
         }
     )
-    for name, values, long_name in (
+    scales = [
         ("design", np.arange(rows), "row of the dataset, from 0"),
         ("load_step", np.arange(steps), "place along the path, from 0"),
         ("output", np.array(data.outputs, dtype=text), "name of the output, SI"),
-    ):
+    ]
+    if data.jacobian is not None:
+        by = np.array(data.parameters, dtype=text)
+        scales.append(("parameter", by, "what the outputs are differentiated by, SI"))
+        file.attrs["sensitivities"] = np.int64(data.sensitivities)
+    for name, values, long_name in scales:
         file.create_dataset(name, data=values).make_scale(name)
         file[name].attrs["long_name"] = long_name
 
@@ -426,6 +463,14 @@ def _write(file: h5py.File, data: Dataset) -> None:
         "outputs along the path, each in its own SI unit",
         coordinates="pressure output_units output_long_name",
     )
+    if data.jacobian is not None:
+        put(
+            "sensitivity",
+            "design load_step output parameter",
+            data.jacobian,
+            "derivatives of the outputs at fixed gauge pressure, SI by SI",
+            coordinates="pressure",
+        )
     known = {output.name: output for output in OUTPUTS}
     units = [known[name].unit if name in known else "" for name in data.outputs]
     names = [known[name].long_name if name in known else "" for name in data.outputs]
@@ -448,9 +493,9 @@ def _read(file: h5py.File, path: Path) -> Dataset:
         if name not in attributes:
             raise FileError(path, f"incomplete: it has no attribute {name}")
     version = int(attributes["schema_version"])
-    if version != SCHEMA_VERSION:
+    if not 1 <= version <= SCHEMA_VERSION:
         raise FileError(
-            path, f"schema version {version}; this program reads {SCHEMA_VERSION}"
+            path, f"schema version {version}; this program reads 1 to {SCHEMA_VERSION}"
         )
     rows = int(attributes["row_count"])
     for name in ("response", "pressure", "status", "path_status"):
@@ -459,6 +504,13 @@ def _read(file: h5py.File, path: Path) -> Dataset:
                 path, f"{name} has {len(file[name])} rows, row_count says {rows}"
             )
     space = Space(tuple(Parameter(**p) for p in json.loads(attributes["design_space"])))
+    slopes: dict[str, Any] = {}
+    if version > 1:
+        slopes = {
+            "sensitivities": int(attributes["sensitivities"]),
+            "parameters": _texts(file["parameter"]),
+            "jacobian": file["sensitivity"][()],
+        }
     data = Dataset(
         variables=space.names,
         inputs=np.stack([file[name][()] for name in space.names], axis=1),
@@ -475,6 +527,7 @@ def _read(file: h5py.File, path: Path) -> Dataset:
         effects=tuple(json.loads(attributes["effects"])),
         generator_version=str(attributes["generator_version"]),
         max_pressure=float(attributes["max_pressure_Pa"]),
+        **slopes,
     )
     if not math.isfinite(data.max_pressure) or data.digest() != attributes["sha256"]:
         raise FileError(path, "damaged: the values do not match their checksum")

@@ -335,7 +335,7 @@ class Equilibrium:
         )
         bulk = self.problem.bulk_modulus
         force, element_pressure = el.internal_force(
-            f, stress, bulk, el.LOCAL_SHARE, len(x), mesh.cells, *arrays
+            f, stress, bulk, self.problem.local_share, len(x), mesh.cells, *arrays
         )
         volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
         normal = self.restrict(gradient)
@@ -353,7 +353,7 @@ class Equilibrium:
                 slope,
                 element_pressure,
                 bulk,
-                el.LOCAL_SHARE,
+                self.problem.local_share,
                 *arrays,
             )
             el.add_load_stiffness(
@@ -379,7 +379,7 @@ class Equilibrium:
             f,
             isochoric,
             self.problem.bulk_modulus,
-            el.LOCAL_SHARE,
+            self.problem.local_share,
             len(x),
             mesh.cells,
             self._gradient,

@@ -79,6 +79,7 @@ def generate(
     scheduler: str | None = None,
     resume: bool = False,
     max_pressure: float = MAX_PRESSURE,
+    sensitivities: int = 0,
     progress: Callable[[Progress], None] | None = None,
     executor: Executor | None = None,
     solve: Solve = solve_row,
@@ -110,6 +111,8 @@ def generate(
         Go on with what an earlier run with the same settings has left.
     max_pressure : float, Pa
         Each path runs to here or to its limit pressure.
+    sensitivities : int
+        How many rows, from the first, are differentiated, too.
     progress : callable, optional
         Called with a `Progress` at the start and after each row.
     executor : concurrent.futures.Executor, optional
@@ -141,6 +144,7 @@ def generate(
     _check_whole("designs", count, 1, 10**8)
     _check_whole("seed", seed, 0, 2**63 - 1)
     _check_whole("workers", workers, 1, 4096)
+    _check_whole("sensitivities", sensitivities, 0, count)
     if not (math.isfinite(max_pressure) and max_pressure > 0):
         raise InputError("max_pressure", max_pressure, "a number above 0", "Pa")
     if scheduler is not None and executor is not None:
@@ -150,7 +154,15 @@ def generate(
     space = sampled_space(active)
     inputs = space.sample(count, seed)
     tasks = [
-        Task(i, space.names, tuple(row), active, level, float(max_pressure))
+        Task(
+            i,
+            space.names,
+            tuple(row),
+            active,
+            level,
+            float(max_pressure),
+            i < sensitivities,
+        )
         for i, row in enumerate(inputs.tolist())
     ]
     if version is None:
@@ -164,6 +176,7 @@ def generate(
         generator_version=version,
         design_space=tuple(space_to_json(space)),
         inputs_sha256=inputs_digest(inputs),
+        sensitivities=int(sensitivities),
     )
     folder = parts_folder(out)
     for path in (out, folder):
@@ -191,6 +204,7 @@ def generate(
                 effects=active,
                 generator_version=version,
                 max_pressure=manifest.max_pressure,
+                sensitivities=manifest.sensitivities,
             )
             data = parts.publish(data)
         except KeyboardInterrupt:

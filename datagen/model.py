@@ -188,6 +188,7 @@ class Model:
         design: Design,
         max_pressure: float = MAX_PRESSURE,
         sensitivities: bool = False,
+        beyond: bool = False,
     ) -> Response:
         """Every equilibrium on the way up: even load steps, the follower's between.
 
@@ -198,11 +199,15 @@ class Model:
             Gauge pressure at which the path ends unless it turns before.
         sensitivities : bool
             As in a call.
+        beyond : bool
+            Go on past a limit point until the strip has turned by 120 degrees; the
+            pressure then falls along the path.
 
         Returns
         -------
         Response
-            Of one device; the last step is `max_pressure` or the limit point.
+            Of one device; the last step is `max_pressure` or the limit point, or what
+            was reached beyond it.
         """
         path = Path(np.linspace(0.0, max_pressure, EXPLORED_STEPS + 1)[1:])
         directions = self.directions(design) if sensitivities else ()
@@ -212,6 +217,7 @@ class Model:
             self._workspace,
             explore=True,
             directions=directions,
+            beyond=beyond,
         )
 
     def deformed(self, design: Design, pressure: float) -> tuple[Problem, Array]:

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from .atomic import TEMPORARY, reason, replacing, sync
-from .dataset import SCHEMA_VERSION, Dataset, space_to_json
+from .dataset import Dataset, space_to_json
 from .errors import FileError, InputError
 from .worker import Row, Task
 
@@ -52,7 +52,7 @@ class Manifest:
     generator_version: str
     design_space: tuple[Mapping[str, Any], ...]
     inputs_sha256: str
-    schema_version: int = SCHEMA_VERSION
+    sensitivities: int = 0
 
     @classmethod
     def of(cls, data: Dataset) -> Manifest:
@@ -66,7 +66,7 @@ class Manifest:
             generator_version=data.generator_version,
             design_space=tuple(space_to_json(data.space)),
             inputs_sha256=inputs_digest(data.inputs),
-            schema_version=data.schema_version,
+            sensitivities=data.sensitivities,
         )
 
     def to_json(self) -> str:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .device import POISSON, Design
+from .elements import LOCAL_SHARE
 from .materials import Hyperelastic, Law
 from .mesh import UPPER, Mesh, MeshLevel, StripMesh, build_mesh
 
@@ -69,6 +70,9 @@ class Body:
         Cavity pressure = gain times gauge pressure + offset.
     forces : (n, 3) array, N, or None
         Dead loads on the nodes, there from the start.
+    local_share : float
+        Of the volumetric energy that is not projected, see `elements.LOCAL_SHARE`;
+        1 gives elements of displacements alone.
     """
 
     mesh: Mesh
@@ -84,6 +88,7 @@ class Body:
     pressure_gain: float = 1.0
     pressure_offset: float = 0.0
     forces: Array | None = None
+    local_share: float = LOCAL_SHARE
 
     @property
     def loaded_at_rest(self) -> bool:
@@ -100,7 +105,7 @@ class Problem(Body):
     Parameters
     ----------
     mesh, thin, nodes, laws, shear_modulus, bulk_modulus, growth, density, gravity,
-    fixed, pressure_gain, pressure_offset, forces
+    fixed, pressure_gain, pressure_offset, forces, local_share
         See `Body`.
     design : Design
         What the problem was made from.

@@ -8,12 +8,16 @@ from dataclasses import asdict
 
 import numpy as np
 
+from .chart import Point
 from .continuation import Options, Outcome, PathFollower, StepFailed, gauge
 from .equilibrium import Workspace
 from .observe import Instruments
 from .problem import Problem
 from .response import CONVERGED, OUTPUT_NAMES, Path, Response
 from .sensitivity import Direction
+
+FAR_TURN = np.radians(120)
+"""Bending angle at which a path past its limit point ends, rad."""
 
 
 def solve(
@@ -23,6 +27,7 @@ def solve(
     options: Options | None = None,
     explore: bool = False,
     directions: Sequence[Direction] = (),
+    beyond: bool = False,
 ) -> Response:
     """Follow one problem along its load steps.
 
@@ -39,6 +44,8 @@ def solve(
         own steps, and the limit point where there is one.
     directions : sequence of Direction, optional
         Parameters by which every value is differentiated, see `Sensitivity`.
+    beyond : bool
+        Explore past a limit point, too, until the strip has turned by `FAR_TURN`.
 
     Returns
     -------
@@ -50,12 +57,23 @@ def solve(
     names = tuple(direction.name for direction in directions)
     try:
         follower = PathFollower(problem, workspace, options, directions)
-        outcome = follower.run(path.pressure, path.time, explore)
+        instruments = Instruments(problem)
+
+        def far_enough(point: Point) -> bool:
+            change = point.volume - follower.first_volume
+            angle = instruments.read(point.x, change)[
+                OUTPUT_NAMES.index("bending_angle")
+            ]
+            return bool(abs(angle) >= FAR_TURN)
+
+        outcome = follower.run(
+            path.pressure, path.time, explore, far_enough if beyond else None
+        )
     except StepFailed as failure:  # at rest, before the first load step
         outcome = Outcome().end(failure.status, f"{failure.detail}, at rest")
         return _respond(problem, path.pressure, outcome, names=names)
     pressure = path.pressure
-    if explore:
+    if explore or beyond:
         pressure = np.array(
             [gauge(problem, point.pressure) for _, point in outcome.points]
         )

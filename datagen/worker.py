@@ -51,6 +51,8 @@ class Task:
     level : str
         Mesh level.
     max_pressure : float, Pa
+    sensitivities : bool
+        Whether the outputs are differentiated, too.
     """
 
     row: int
@@ -59,6 +61,7 @@ class Task:
     effects: tuple[str, ...]
     level: str
     max_pressure: float
+    sensitivities: bool = False
 
     def split(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """The design's variables, and the parameters of each effect, SI."""
@@ -100,6 +103,9 @@ class Row:
     limit_pressure : float, Pa
         NaN where no limit point was met.
     message : str
+    parameters : tuple of k str
+        What the outputs are differentiated by; empty where they are not.
+    jacobian : (s, m, k) array, SI, or None
 
     Raises
     ------
@@ -115,6 +121,8 @@ class Row:
     path_status: str
     limit_pressure: float
     message: str
+    parameters: tuple[str, ...] = ()
+    jacobian: Array | None = None
 
     def __post_init__(self) -> None:
         steps = self.pressure.shape[0] if self.pressure.ndim == 1 else -1
@@ -122,6 +130,9 @@ class Row:
             raise InputError(
                 "values", self.values.shape, f"shape {(steps, len(self.outputs))}"
             )
+        wanted = (*self.values.shape, len(self.parameters))
+        if self.jacobian is not None and self.jacobian.shape != wanted:
+            raise InputError("jacobian", self.jacobian.shape, f"shape {wanted}")
         if self.status.shape != (steps,):
             raise InputError("status", self.status.shape, f"shape {(steps,)}")
         if self.path_status not in PATH_STATUS:
@@ -150,11 +161,21 @@ class Row:
             path_status=str(response.path_status[0]),
             limit_pressure=float(response.limit_pressure[0]),
             message=str(response.message[0]),
+            parameters=response.parameters,
+            jacobian=None
+            if response.jacobian is None
+            else response.jacobian[0, :steps],
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and text, exact through JSON."""
-        return {
+        slopes = {}
+        if self.jacobian is not None:
+            slopes = {
+                "parameters": list(self.parameters),
+                "jacobian": self.jacobian.tolist(),
+            }
+        return slopes | {
             "row": self.row,
             "outputs": list(self.outputs),
             "pressure": self.pressure.tolist(),
@@ -171,6 +192,11 @@ class Row:
         outputs = tuple(map(str, data["outputs"]))
         pressure = np.asarray(data["pressure"], dtype=float)
         values = np.asarray(data["values"], dtype=float)
+        parameters = tuple(map(str, data.get("parameters", ())))
+        jacobian = None
+        if parameters:
+            jacobian = np.asarray(data["jacobian"], dtype=float)
+            jacobian = jacobian.reshape(len(pressure), len(outputs), len(parameters))
         return cls(
             row=int(data["row"]),
             outputs=outputs,
@@ -180,6 +206,8 @@ class Row:
             path_status=str(data["path_status"]),
             limit_pressure=float(data["limit_pressure"]),
             message=str(data["message"]),
+            parameters=parameters,
+            jacobian=jacobian,
         )
 
 
@@ -202,7 +230,9 @@ def solve_row(task: Task) -> Row:
 
     design, parameters = task.split()
     model = Model(effects=task.effects, level=task.level, parameters=parameters)
-    response = model.explore(Design.from_sample(design), task.max_pressure)
+    response = model.explore(
+        Design.from_sample(design), task.max_pressure, task.sensitivities
+    )
     return Row.from_response(task.row, response)
 
 

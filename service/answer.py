@@ -254,6 +254,7 @@ def fem_answer(
     in_range: bool = True,
     reasons: Sequence[str] = (),
     sensitivities: bool = False,
+    beyond: bool = False,
 ) -> Answer:
     """What the finite elements compute; the interval has no width.
 
@@ -269,10 +270,18 @@ def fem_answer(
         What the surrogate said of this request.
     sensitivities : bool
         Differentiate, too; `model` must know how, as `datagen.model.Model` does.
+    beyond : bool
+        Up to the highest pressure at the solver's own steps and, where the path turns
+        before, on past its limit point.
     """
     start = time.perf_counter()
     wanted = {"sensitivities": True} if sensitivities else {}
-    response = model([design], [Path(pressure)], **wanted)
+    if beyond:
+        top = float(pressure.max())
+        response = model.explore(design, top, beyond=True, **wanted)  # type: ignore[attr-defined]
+        pressure = response.pressure[0]
+    else:
+        response = model([design], [Path(pressure)], **wanted)
     value = response.values[0]
     info = {"seconds": time.perf_counter() - start} | response.info
     return Answer(

@@ -81,6 +81,14 @@ def solve(
             help="Differentiate by design columns and effect parameters, too.",
         ),
     ] = False,
+    beyond: Annotated[
+        bool,
+        Option(
+            "--beyond",
+            help="Every equilibrium up to the highest pressure and, where the path "
+            "turns before, on past its limit point.",
+        ),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """One path by finite elements."""
@@ -97,7 +105,12 @@ def solve(
     model = Model(tuple(parameters), level, parameters, effects_dir)
     with _waiting("finite elements", as_json):
         answer = fem_answer(
-            model, fem_version(level), design, pressure, sensitivities=sensitivities
+            model,
+            fem_version(level),
+            design,
+            pressure,
+            sensitivities=sensitivities,
+            beyond=beyond,
         )
     lists = answer.to_solution() | {"level": level, "effects": parameters}
     if not as_json:
@@ -200,6 +213,14 @@ def generate(
             metavar="KPA",
         ),
     ] = 150.0,
+    sensitivities: Annotated[
+        int,
+        Option(
+            help="Differentiate the outputs of the first K paths, too.",
+            parser=whole("--sensitivities", 0, MANY_DESIGNS),
+            metavar="K",
+        ),
+    ] = 0,
     as_json: AsJson = False,
 ) -> None:
     """A dataset of paths by finite elements, over a Latin hypercube of designs."""
@@ -229,6 +250,7 @@ def generate(
                 scheduler=scheduler,
                 resume=resume,
                 max_pressure=PRESSURE.to_si(max_pressure),
+                sensitivities=sensitivities,
                 progress=update,
             )
         except Interrupted as stop:

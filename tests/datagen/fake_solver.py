@@ -45,6 +45,8 @@ def solve_fake(task: Task) -> Row:
     steps = int(random.integers(3, 9))
     pressure = task.max_pressure * np.arange(1, steps + 1) / steps
     values = random.standard_normal((steps, len(OUTPUT_NAMES))) * 1e-4
+    slopes = random.standard_normal((steps, len(OUTPUT_NAMES), 2))
+    slopes[-1] = np.nan  # as at a limit point
     ending = ("completed", "limit_point", "inverted_element")[task.row % 3]
     return Row(
         row=task.row,
@@ -55,6 +57,8 @@ def solve_fake(task: Task) -> Row:
         path_status=ending,
         limit_pressure=float(pressure[-1]) if ending == "limit_point" else np.nan,
         message="" if ending == "completed" else f"stopped at step {steps}: Ω < 0",
+        parameters=("wall", "upper_modulus") if task.sensitivities else (),
+        jacobian=slopes if task.sensitivities else None,
     )
 
 

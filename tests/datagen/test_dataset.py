@@ -20,6 +20,7 @@ from datagen.space import Parameter, Space
 from datagen.worker import STEP_STATUS, Row, Task
 
 from .fake_solver import solve_fake
+from .making import make
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,7 +76,7 @@ def assert_same(one: Dataset, other: Dataset) -> None:
 def test_what_is_written_is_read(data: Dataset, path: Path) -> None:
     read = Dataset.read(path)
     assert_same(data, read)
-    assert read.schema_version == SCHEMA_VERSION
+    assert read.jacobian is None
     assert "Ω" in read.message[1]
 
 
@@ -299,6 +300,31 @@ def test_codes_are_read_by_their_meaning(data: Dataset, path: Path) -> None:
         Dataset.read(path)
 
 
+def test_derivatives_are_written_and_read(tmp_path: Path) -> None:
+    data = make(tmp_path / "data.h5", sensitivities=5)
+    read = Dataset.read(tmp_path / "data.h5")
+    assert (read.sensitivities, read.parameters) == (5, ("wall", "upper_modulus"))
+    assert_same(data, read)
+    assert read.jacobian is not None and data.jacobian is not None
+    assert_array_equal(read.jacobian, data.jacobian)
+    known = np.isfinite(read.jacobian).any(axis=(1, 2, 3))
+    assert known.tolist() == [True] * 5 + [False] * (len(data) - 5)
+    assert read.digest() != make(tmp_path / "plain.h5").digest()
+    part = read.subset([7, 2])
+    assert (part.sensitivities, part.jacobian.shape[0]) == (1, 2)  # type: ignore[union-attr]
+    with xarray.open_dataset(tmp_path / "data.h5", engine="h5netcdf") as opened:
+        by_wall = opened["sensitivity"].sel(parameter="wall", output="inflation")
+        assert_array_equal(by_wall, read.jacobian[:, :, 2, 0])
+
+
+def test_derivatives_belong_to_what_a_run_resumes(tmp_path: Path) -> None:
+    make(tmp_path / "data.h5", sensitivities=5)
+    with pytest.raises(InputError, match="sensitivities"):
+        make(tmp_path / "data.h5", sensitivities=4, resume=True)
+    with pytest.raises(InputError, match="sensitivities: 13 is not allowed"):
+        make(tmp_path / "more.h5", sensitivities=13)
+
+
 def spoil(path: Path, change: str) -> None:
     """Damage a file in one of many ways."""
     content = path.read_bytes()
@@ -338,7 +364,7 @@ def spoil(path: Path, change: str) -> None:
         ("empty", "not an HDF5 file"),
         ("text", "not an HDF5 file"),
         ("other HDF5", "an HDF5 file, but not a pba-dataset"),
-        ("newer", "schema version 2; this program reads 1"),
+        ("newer", "schema version 3; this program reads 1 to 2"),
         ("rows", "response has 7 rows, row_count says 8"),
         ("no variable", "damaged or incomplete:.*message"),
         ("no attribute", "incomplete: it has no attribute seed"),

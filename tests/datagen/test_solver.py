@@ -139,6 +139,26 @@ def test_exploring_keeps_every_step_and_ends_at_the_top(
     assert short.pressure[0].max() == pytest.approx(short.limit_pressure[0], rel=1e-9)
 
 
+def test_a_path_goes_on_past_its_limit_point(draft: Model) -> None:
+    """The published device of half the stiffness: its pressure falls, it bends on."""
+    soft = named_device().with_values(upper_modulus=1.25e6, lower_modulus=2.25e6)
+    response = draft.explore(soft, beyond=True)
+    limit = response.limit_pressure[0]
+    assert response.path_status == ("limit_point",)
+    assert f"turns at {limit / KPA:.4g} kPa; followed beyond" in response.message[0]
+    top = int(np.argmax(response.pressure[0]))
+    assert response.pressure[0, top] == limit
+    assert set(response.status[0]) == {CONVERGED}
+    after = response.pressure[0, top:]
+    assert len(after) > 10
+    assert (np.diff(after) < 0).all()
+    assert after[-1] < limit / 2
+    assert (np.diff(response.output("cavity_volume")[0, top:]) > 0).all()
+    assert np.abs(response.output("bending_angle")[0, -1]) >= np.radians(120)
+    plain = draft.explore(soft)
+    assert plain.limit_pressure[0] == pytest.approx(limit, rel=1e-6)
+
+
 def test_explored_steps_are_the_exact_equilibria(draft: Model) -> None:
     explored = draft.explore(named_device("D8-2x1"), 40 * KPA)
     pressure = explored.pressure[0, ::3]

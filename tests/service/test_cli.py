@@ -50,6 +50,11 @@ class FakeModel:
         names = ("upper_thickness", "effect.parameter")
         return replace(response, parameters=names, jacobian=slopes)
 
+    def explore(self, design: Any, max_pressure: float, beyond: bool) -> Response:
+        assert beyond
+        turning = np.array([0.5, 1.0, 0.4]) * max_pressure
+        return FakeFem()([design], [LoadPath(turning)])
+
 
 @pytest.fixture(autouse=True)
 def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,6 +113,11 @@ def test_sensitivities_are_in_bench_units(pba: Any) -> None:
         [2 * v for v in data["tip_deflection_mm"]]
     )
     assert "sensitivities" not in the_json(pba("solve --pressures 10 --json"))
+
+
+def test_beyond_gives_the_steps_of_the_solver(pba: Any) -> None:
+    data = the_json(pba("solve --pressures 10,40 --beyond --json"))
+    assert data["pressure_kPa"] == [20, 40, 16]
 
 
 def test_sensitivities_are_told_for_one_percent(pba: Any) -> None:

@@ -71,15 +71,22 @@ class Failed(AssertionError):
     """The solver did not follow the path that it should."""
 
 
-def follow(body: Body, *legs: float) -> tuple[PathFollower, list[Point]]:
-    """The path through pressures in turn, limit points included, all points kept."""
+def follow(
+    body: Body, *pressures: float, swelling: float = 1.0
+) -> tuple[PathFollower, list[Point]]:
+    """The path through pressures in turn, all points kept, the limit point too.
+
+    swelling : the cavity's volume, over that at rest, up to which a path is followed
+        past its limit point; by default it ends there.
+    """
     follower = PathFollower(body)
-    points = [follower.point]
-    for pressure in legs:
-        outcome = follower.run(np.array([pressure]), keep_all=True)
-        points += [point for _, point in outcome.points]
-        if outcome.status not in ("completed", "limit_point"):
-            raise Failed(f"{outcome.status}: {outcome.message}")
+    start, goal = follower.point, swelling * follower.first_volume
+    further = (lambda point: point.volume > goal) if swelling > 1 else None
+    outcome = follower.run(np.array(pressures), keep_all=True, far_enough=further)
+    points = [start, *(point for _, point in outcome.points)]
+    done = outcome.status == "completed" or follower.limit is not None
+    if not done or points[-1].volume < goal:
+        raise Failed(f"{outcome.status}: {outcome.message}")
     return follower, points
 
 
@@ -92,11 +99,20 @@ def node_at(body: Body, *place: float) -> int:
 
 
 def _wall(
-    body: Body, dimension: int, pressure: Callable[[float], float], legs: list[float]
+    body: Body,
+    dimension: int,
+    pressure: Callable[[float], float],
+    legs: list[float],
+    stretch: float = 1.0,
 ) -> Iterator[tuple[float, float, float, int]]:
-    """Inner stretch of the cavity's volume, exact and computed pressure, unknowns."""
-    follower, points = follow(body, *legs)
-    for point in points[1:]:
+    """Inner stretch of the cavity's volume, exact and computed pressure, unknowns.
+
+    stretch : up to which a path is followed past its limit point.
+    """
+    follower, points = follow(body, *legs, swelling=stretch**dimension)
+    for point in points:
+        if point.pressure == 0:
+            continue
         la = (point.volume / follower.first_volume) ** (1 / dimension)
         yield la, pressure(la), point.pressure, follower.equations.unknowns
 
@@ -104,14 +120,18 @@ def _wall(
 def _pick(
     case: str, found: list[tuple[float, float, float, int]], wanted: tuple[float, ...]
 ) -> Iterator[Row]:
-    """Rows of the points nearest to the wanted stretches but the first, from which on
-    the worst point of all is the last row."""
+    """Rows of the points nearest to the wanted stretches but the first, and of the
+    worst point from the first to the last of them."""
     stretches = np.array([la for la, *_ in found])
     for la in wanted[1:]:
         _, right, computed, unknowns = found[int(np.argmin(np.abs(stretches - la)))]
         yield Row(case, f"p/mu near la = {la}", right, computed, unknowns)
-    what = f"p/mu, worst from la = {wanted[0]}"
-    rows = (Row(case, what, *rest) for la, *rest in found if la >= wanted[0])
+    low, high = wanted[0], wanted[-1]
+    rows = (
+        Row(case, f"p/mu, worst of la = {low} to {high}", *rest)
+        for la, *rest in found
+        if low <= la <= 1.001 * high
+    )
     yield max(rows, key=lambda row: abs(row.error))
 
 
@@ -136,7 +156,7 @@ def sphere_rows(level: str) -> Iterator[Row]:
             ),
         ):
             body = bodies.sphere(k, through, around, bulk)
-            found = list(_wall(body, 3, pressure, [1.1 * highest, pressure(3.0)]))
+            found = list(_wall(body, 3, pressure, [1.1 * highest], 3.0))
             top = max(pressure for _, _, pressure, _ in found)
             yield Row(case, "largest p/mu", highest, top, found[0][3])
             yield from _pick(case, found, (lowest, 3.0))

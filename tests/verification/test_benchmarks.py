@@ -40,7 +40,7 @@ def test_sphere_goes_through_its_limit_pressure() -> None:
     """One maximum, found by the follower, and a falling path of growing spheres."""
     limit, stretch = exact.sphere_limit(1.1)
     body = bodies.sphere(1.1, 2, 2, 1e3)
-    follower, points = follow(body, 1.1 * limit, exact.sphere_pressure(3.0, 1.1))
+    follower, points = follow(body, 1.1 * limit, swelling=27.0)
     assert follower.limit is not None
     assert follower.limit.pressure == pytest.approx(limit, rel=5e-3)
     swelling = (follower.limit.volume / follower.first_volume) ** (1 / 3)
@@ -54,14 +54,14 @@ def test_sphere_goes_through_its_limit_pressure() -> None:
     assert (np.diff(pressures[: top + 1]) > 0).all()
     assert (np.diff(pressures[top:]) < 0).all()
     end = (follower.point.volume / follower.first_volume) ** (1 / 3)
-    assert end == pytest.approx(3.0, rel=1e-2)
+    assert end > 3
 
 
 def test_stability_is_lost_at_the_limit() -> None:
     """The tangent has one negative eigenvalue beyond the limit, none before."""
     limit, _ = exact.sphere_limit(1.5)
     body = bodies.sphere(1.5, 1, 1, 25.0)
-    follower, points = follow(body, 1.1 * limit, 0.6 * limit)
+    follower, points = follow(body, 1.1 * limit, swelling=27.0)
     assert follower.limit is not None
     peak = follower.limit.volume
     before = [point.negative for point in points if point.volume < 0.99 * peak]

@@ -15,7 +15,7 @@ DOCUMENT = ROOT / "docs/verification.md"
 OF_THE_SOLVER = ("benchmarks", "convergence", "laws", "patch")
 
 
-def tests_of(file: Path) -> set[str]:
+def names_in(file: Path) -> set[str]:
     """Names of a file's tests, ``file::test``."""
     tree = ast.parse(file.read_text())
     return {
@@ -34,7 +34,7 @@ def test_mutations_can_be_made(mutation: Mutation) -> None:
 
 
 def test_every_test_of_the_solver_has_a_mutation_that_fails_it() -> None:
-    tests = set().union(*(tests_of(HERE / f"test_{n}.py") for n in OF_THE_SOLVER))
+    tests = set().union(*(names_in(HERE / f"test_{n}.py") for n in OF_THE_SOLVER))
     caught = {name.partition("[")[0] for m in MUTATIONS for name in m.caught_by}
     assert caught == tests
 
