@@ -156,7 +156,8 @@ class PathFollower:
         self._tolerance = self.options.tolerance * self._thin
         self._definite = True
         self._before: Point | None = None
-        self._keep_all = False
+        self._keep_all, self._past_limits = False, False
+        self._predicted_negative = 0
         self._heading = 1.0
         self.first_volume = self.equations.volume(problem.nodes)
         faces = problem.mesh.cavity_faces[:, [0, 2, 8, 6]]
@@ -247,6 +248,8 @@ class PathFollower:
                 if self._effort > options.factorisations:
                     break
                 self._factorise(ev)
+                if self._effort == 1:
+                    self._predicted_negative = self._solver.negative
                 both = self._solver.solve(
                     np.stack([-ev.residual, ev.volume_gradient], axis=1)
                 )
@@ -428,15 +431,29 @@ class PathFollower:
                 if _largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
                     raise StepFailed("step_too_small", detail)
-            except StepFailed:
+            except StepFailed as failure:
                 self.counters.rejected += 1
                 self._step = abs(s) / 3
+                if self._critical(goal):
+                    raise StepFailed("limit_point", "stability is lost") from failure
                 if self._step < self._smallest:
                     raise
                 self._definite = here.negative == 0  # a bad iterate tells nothing
                 continue
             self._accept(point, x, abs(s))
             return hit
+
+    def _critical(self, predicted: float) -> bool:
+        """True at a point where stability is lost and the path does not go on smoothly.
+
+        Balloons that have inflated alike go different ways there: the tangent is
+        definite at the last point and not at the prediction, whose pressure is the same
+        but for a ten thousandth, and the corrector does not reach it.
+        """
+        here = self.point
+        close = abs(predicted - here.pressure) <= 1e-4 * abs(here.pressure)
+        lost = self._predicted_negative > here.negative == 0
+        return close and lost and not self._past_limits
 
     def _wants_derivatives(self, hit: bool) -> bool:
         """True for points that are kept; for all where the laws have a history."""
@@ -490,6 +507,7 @@ class PathFollower:
         """
         problem, outcome = self.problem, Outcome()
         self._keep_all = keep_all
+        self._past_limits = far_enough is not None
         times = np.arange(1.0, len(targets) + 1) if times is None else times
         for i, wanted in enumerate(targets):
             target = problem.pressure_gain * float(wanted) + problem.pressure_offset
@@ -509,6 +527,11 @@ class PathFollower:
                 try:
                     reached = self.advance(target)
                 except StepFailed as failure:
+                    if failure.status == "limit_point":
+                        self.limit = self.point
+                        return outcome.end(
+                            "limit_point", f"{failure.detail} at {self._at()}"
+                        )
                     words = f"{failure.detail}, past {self._at()}"
                     return self._end(outcome, failure.status, words)
                 if self.limit is None and slope > 0 and self.point.slope <= 0:

@@ -46,7 +46,8 @@ CONVERGED = "converged"
 
 PATH_STATUS: dict[str, str] = {
     "completed": "every load step was reached",
-    "limit_point": "the equilibrium path turns: a balloon grows without bound",
+    "limit_point": "the equilibrium path turns or loses its stability: a balloon grows "
+    "without bound",
     "inverted_element": "an element turned inside out and smaller steps did not help",
     "step_too_small": "Newton's method failed down to the smallest load step",
     "step_limit": "the path needed more steps than allowed",

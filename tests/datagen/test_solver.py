@@ -159,6 +159,25 @@ def test_a_path_goes_on_past_its_limit_point(draft: Model) -> None:
     assert plain.limit_pressure[0] == pytest.approx(limit, rel=1e-6)
 
 
+def test_balloons_that_part_ways_end_a_path() -> None:
+    """Three balloons that lose their stability one after the other just below the top.
+
+    The path stops there at once; followed with ever smaller steps it turns at the same
+    pressure.
+    """
+    soft = named_device("D8-3x1").with_values(upper_modulus=0.8e6, lower_modulus=1e6)
+    problem = baseline(soft, mesh_level("draft"))
+    short, long = PathFollower(problem), PathFollower(problem)
+    ended = short.run(np.array([150.0]) * KPA)
+    turned = long.run(np.array([150.0]) * KPA, far_enough=lambda point: True)
+    assert ended.status == turned.status == "limit_point"
+    assert "stability is lost at" in ended.message
+    assert "turns at" in turned.message
+    assert short.limit is not None and long.limit is not None
+    assert short.limit.pressure == pytest.approx(long.limit.pressure, rel=2e-4)
+    assert short.counters.factorisations < long.counters.factorisations
+
+
 def test_explored_steps_are_the_exact_equilibria(draft: Model) -> None:
     explored = draft.explore(named_device("D8-2x1"), 40 * KPA)
     pressure = explored.pressure[0, ::3]
