@@ -26,6 +26,7 @@ from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
 from .linear import NotDefinite
 from .mixing import Mixing
 from .problem import Body, Problem
+from .response import OUTPUT_NAMES
 from .sensitivity import Direction, Sensitivity
 
 Array = np.ndarray
@@ -158,6 +159,7 @@ class PathFollower:
         self._before: Point | None = None
         self._keep_all, self._past_limits = False, False
         self._predicted_negative = 0
+        self._length = self._where = 0.0  # of the path so far, and with the next step
         self._heading = 1.0
         self.first_volume = self.equations.volume(problem.nodes)
         faces = problem.mesh.cavity_faces[:, [0, 2, 8, 6]]
@@ -283,12 +285,8 @@ class PathFollower:
     def _finish(self, x: Array, pressure: float, dt: float) -> Point:
         """The point of the path at an equilibrium, with its direction there."""
         eq = self.equations
-        ev = self._evaluate(x, pressure, dt, self._differentiate)
-        if self._differentiate:
-            self._factorise(ev)
-            load = self._solver.solve(ev.volume_gradient)
-        else:
-            load = self._refine(x, pressure, dt, ev)
+        ev = self._evaluate(x, pressure, dt, False)
+        load = self._refine(x, pressure, dt, ev)
         self._pending = ev.history
         direction = eq.extend(load)
         # The length of a step: mean movement of the cavity's walls, and a little of
@@ -311,11 +309,26 @@ class PathFollower:
             negative=self._solver.negative,
         )
         if self._differentiate and self._sensitivity is not None:
-            jacobian = self._sensitivity.visit(
-                eq, self._solver, point, dt, self.first_volume
-            )
-            point = replace(point, jacobian=jacobian)
+            point = replace(point, jacobian=self._slopes(self._sensitivity, point, dt))
         return point
+
+    def _slopes(self, sensitivity: Sensitivity, point: Point, dt: float) -> Array:
+        """Derivatives at a point, with another factorisation where one is needed."""
+
+        def visit() -> Array | None:
+            return sensitivity.visit(
+                self.equations, self._solver, point, dt, self.first_volume, self._where
+            )
+
+        jacobian = visit()
+        if jacobian is None:
+            ev = self._evaluate(point.x, point.pressure, dt, True)
+            self._factorise(ev)
+            jacobian = visit()
+        if jacobian is None:  # next to a limit point, where they grow without bound
+            shape = (len(OUTPUT_NAMES), len(sensitivity.names))
+            jacobian = np.full(shape, np.nan)
+        return jacobian
 
     def _refine(self, x: Array, pressure: float, dt: float, ev: Evaluation) -> Array:
         """Displacements a pascal: K u = dV/dx, by conjugate gradients.
@@ -427,6 +440,7 @@ class PathFollower:
                 plane = None if hit else (chart, s)
                 expected = self._expected_stress(chart, s)
                 self._differentiate = self._wants_derivatives(hit)
+                self._where = self._length + abs(s)
                 point = self._correct(x, goal, dt, plane, expected)
                 if _largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
@@ -440,6 +454,7 @@ class PathFollower:
                     raise
                 self._definite = here.negative == 0  # a bad iterate tells nothing
                 continue
+            self._length = self._where
             self._accept(point, x, abs(s))
             return hit
 

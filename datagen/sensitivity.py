@@ -3,8 +3,8 @@
 At an equilibrium R(u; t) = 0 the displacements follow a parameter by
 K du/dt = -dR/dt.  dR/dt is a difference of two residuals at the same deformation: the
 parameter may move nodes, change stress, growth, weight or load, and no effect needs to
-know its own derivative.  K is factorised at the equilibrium, all parameters are solved
-together, and the outputs are differenced along du/dt.
+know its own derivative.  All parameters are solved together with the factorisation that
+the path's corrector has left, and the outputs are differenced along du/dt.
 
 Laws with history bring derivatives of their own history along: each direction keeps
 the history of its moved problem, so every step of the path has to be visited.
@@ -25,6 +25,12 @@ from .observe import Instruments
 from .problem import Problem
 
 Array = np.ndarray
+
+PASSES, CLOSE, NOTHING = 6, 3e-3, 1e-11
+"""Newton's iterations at a point, and the last relative correction.  Each one shrinks
+the error by a factor of ten to a hundred, so that some 1e-4 of it is left at most.
+A correction that a step ahead moves no node by `NOTHING` of the thinnest wall is that
+of a derivative that vanishes, as all by design fields do at rest."""
 
 
 @dataclass(frozen=True)
@@ -85,14 +91,9 @@ class Sensitivity:
             self._ahead.append(Equilibrium(other, workspace))
         self._read_ahead = [Instruments(one.problem) for one in directions]
         self._first_volume = [one.volume(one.problem.nodes) for one in self._ahead]
-        # Derivatives of the displacements, (unknowns, k), those of the last point being
-        # the first guess for the next.
-        self._moving = [
-            k
-            for k, one in enumerate(directions)
-            if (one.problem.nodes != problem.nodes).any()
-        ]
-        self._last = np.zeros((self._ahead[0].unknowns, len(self.directions)))
+        # Derivatives of the displacements, (unknowns, k), here and at the last points.
+        self._follow = np.zeros((self._ahead[0].unknowns, len(self.directions)))
+        self._known: list[tuple[float, Array]] = []
         self.has_history = any(
             law.history_size for one in directions for law in one.problem.laws
         )
@@ -104,7 +105,8 @@ class Sensitivity:
         point: Point,
         dt: float,
         first_volume: float,
-    ) -> Array:
+        where: float,
+    ) -> Array | None:
         """Derivatives of the outputs at a point of the path, at fixed gauge pressure.
 
         Parameters
@@ -112,16 +114,19 @@ class Sensitivity:
         here : Equilibrium
             Of the problem, with the history before the step that led to `point`.
         solver : Solver
-            Holds the factorised tangent at `point`.
+            Holds a factorised tangent at `point` or near it.
         point : Point
         dt : float, s
             Duration of that step.
         first_volume : float, m3
             Of the cavities at rest.
+        where : float, m
+            The path's length up to `point`.
 
         Returns
         -------
-        (m, k) array, SI; outputs by parameters
+        (m, k) array, SI; outputs by parameters.  None where `solver` is not near
+        enough; what was found so far is kept for another try.
         """
         problem = self.problem
         gauge = (point.pressure - problem.pressure_offset) / problem.pressure_gain
@@ -139,13 +144,28 @@ class Sensitivity:
             rate: Array = (residual - ahead.residual) / self.directions[k].step
             return rate
 
-        # The second pass is Newton's next iteration for the moved shapes.  One is not
-        # enough: moved nodes that keep their displacement shear a bent strip, and even
-        # a millionth of that is no longer linear in a membrane.
-        for columns in (range(len(self.directions)), self._moving):
-            if len(columns):
-                missing = np.stack([lack(k) for k in columns], axis=1)
-                self._last[:, list(columns)] += solver.solve(missing)
+        if not self._known or self._known[-1][0] != where:
+            self._guess(where)
+        # Newton's method for all the problems ahead, with one factorisation.  Moved
+        # nodes need the second pass even with an exact one: with displacements that
+        # stay they shear a bent strip, and a millionth of that is not linear any more.
+        steps = np.array([abs(one.step) for one in self.directions])
+        open_columns = np.arange(len(self.directions))
+        for _ in range(PASSES):
+            change = solver.solve(
+                np.stack([lack(int(k)) for k in open_columns], axis=1)
+            )
+            self._follow[:, open_columns] += change
+            size = np.maximum(
+                CLOSE * np.abs(self._follow[:, open_columns]).max(axis=0),
+                NOTHING * problem.thin / steps[open_columns],
+            )
+            open_columns = open_columns[np.abs(change).max(axis=0) > size]
+            if not len(open_columns):
+                break
+        self._known[-1] = (where, self._follow.copy())
+        if len(open_columns):
+            return None
         jacobian = np.empty((len(values), len(self.directions)))
         for k, (direction, ahead) in enumerate(
             zip(self.directions, self._ahead, strict=True)
@@ -158,9 +178,18 @@ class Sensitivity:
                 ahead.history = ahead.evaluate(x, pressures[k], dt).history
         return jacobian
 
+    def _guess(self, where: float) -> None:
+        """Expect derivatives at a place of the path, from those at the last ones."""
+        guess = np.zeros_like(self._follow)
+        for i, (here, follow) in enumerate(self._known):
+            others = [there for j, (there, _) in enumerate(self._known) if j != i]
+            guess += np.prod([(where - o) / (here - o) for o in others]) * follow
+        self._follow = guess
+        self._known = [*self._known, (where, guess)][-3:]
+
     def _nodes_ahead(self, point: Point, k: int) -> Array:
         """Deformed nodes (n, 3), m, of problem k at a point, as far as is known."""
         one = self.directions[k]
         moved = point.x + (one.problem.nodes - self.problem.nodes)
-        nodes: Array = moved + one.step * self._ahead[k].extend(self._last[:, k])
+        nodes: Array = moved + one.step * self._ahead[k].extend(self._follow[:, k])
         return nodes
