@@ -9,7 +9,8 @@ from dataclasses import asdict
 import numpy as np
 
 from .chart import Point
-from .continuation import Options, Outcome, PathFollower, StepFailed, gauge
+from .continuation import PathFollower, gauge
+from .control import Options, Outcome, StepFailed
 from .equilibrium import Workspace
 from .observe import Instruments
 from .problem import Problem

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datagen.continuation import Options, PathFollower
+from datagen.continuation import PathFollower
+from datagen.control import Options
 from datagen.device import Design, named_device
 from datagen.equilibrium import Workspace
 from datagen.errors import EffectError, InputError

@@ -1,0 +1,96 @@
+"""Settings of path following, what a path cost, and how it ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from .chart import Point
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of the path follower.
+
+    Parameters
+    ----------
+    tolerance : float
+        Estimated error of every displacement over the thinnest wall.
+    iterations : int
+        Corrector iterations before a step is cut.
+    contraction : float
+        A corrector that shrinks its steps less gets a new factorisation.
+    patience : int
+        Iterations with a factorisation before it is judged.
+    memory : int
+        Corrections that are combined to speed up the corrector.
+    factorisations : int
+        Of one step before it is cut.
+    predictor_error : float
+        Wanted distance of prediction and solution over the thinnest wall.
+    largest_error : float
+        A solution further from its prediction is refused: it may lie on another
+        branch, and thin membranes have many.
+    tangent_tolerance : float
+        Relative error of the path's tangent, in displacement.
+    tangent_iterations : int
+    node_share : float
+        Of every node's movement in the length of a step.
+    first_step : float
+        Displacement of the first step over the thinnest wall.
+    smallest_step : float
+        Of the first step's volume; a smaller one ends the path.
+    largest_growth : float
+        Of one step over the one before.
+    max_steps : int
+        Steps of one path.
+    """
+
+    tolerance: float = 3e-9
+    iterations: int = 30
+    contraction: float = 0.9
+    patience: int = 6
+    memory: int = 6
+    factorisations: int = 4
+    predictor_error: float = 0.1
+    largest_error: float = 0.4
+    tangent_tolerance: float = 1e-4
+    tangent_iterations: int = 12
+    node_share: float = 0.03
+    first_step: float = 0.12
+    smallest_step: float = 1e-4
+    largest_growth: float = 3.0
+    max_steps: int = 400
+
+
+@dataclass
+class Outcome:
+    """Points that were kept, each with the target it belongs to, and how it ended."""
+
+    points: list[tuple[int, Point]] = field(default_factory=list)
+    status: str = "completed"
+    message: str = ""
+
+    def keep(self, target: int, point: Point) -> None:
+        self.points.append((target, point))
+
+    def end(self, status: str, message: str) -> Outcome:
+        self.status, self.message = status, message
+        return self
+
+
+class StepFailed(ArithmeticError):
+    """The corrector did not reach an equilibrium; `status` says why."""
+
+    def __init__(self, status: str, detail: str) -> None:
+        self.status, self.detail = status, detail
+        super().__init__(detail)
+
+
+@dataclass
+class Counters:
+    """What a path cost."""
+
+    steps: int = 0
+    factorisations: int = 0
+    iterations: int = 0
+    rejected: int = 0
