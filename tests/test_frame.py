@@ -51,7 +51,8 @@ def requirements() -> list[Requirement]:
 
 
 @pytest.mark.parametrize(
-    "target", ["run", "test", "lint", "format", "docs", "figures", "reference"]
+    "target",
+    ["run", "test", "lint", "format", "docs", "figures", "reference", "bench-fem"],
 )
 def test_make_knows_the_target(target: str) -> None:
     done = subprocess.run(
