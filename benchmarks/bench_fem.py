@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from . import peer_calculix, peer_own
@@ -104,7 +104,9 @@ def hardware() -> str:
         model = found[1].strip() if found else model
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     system = f"{platform.system()} {platform.machine()}"
-    return f"{model}, {os.cpu_count()} cores, {memory:.0f} GiB, {system}; one core used"
+    python = f"Python {platform.python_version()}"
+    cores = f"{os.cpu_count()} cores, one of them used"
+    return f"{model}, {cores}, {memory:.0f} GiB, {system}, {python}"
 
 
 class PeerStopped(RuntimeError):
@@ -206,7 +208,8 @@ def main() -> None:
             tolerances={program.name: program.tolerance for program in every},
         )
         if given.only and results.exists():
-            record = Record.read(results)
+            old = Record.read(results)
+            record = replace(record, versions=old.versions, runs=old.runs)
         if hasattr(os, "sched_setaffinity"):  # inherited by every run
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         for program, mesh in chosen(every, given.only):

@@ -33,7 +33,10 @@ A rim of one twenty-node element with 2 x 2 x 2 points does not hold: on the dra
 FElupe and CalculiX lose the path near 30 kPa.
 """
 
-EXTRA_LEVELS = {level.name: level for level in (COARSE, REFERENCE)}
+MEDIUM = MeshLevel("medium", 7, 5, 4, 3, 3, 1, 2, 2, 0.5, 0.5, 0.8)
+"""Between the standard mesh and the fine one, so that accuracies can be matched."""
+
+EXTRA_LEVELS = {level.name: level for level in (COARSE, MEDIUM, REFERENCE)}
 
 _CORNERS = np.array(
     [

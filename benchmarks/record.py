@@ -14,7 +14,7 @@ from datagen.atomic import replacing
 Array = np.ndarray
 
 OWN, REFERENCE_MESH = "pba", "reference"
-MESHES = ("draft", "coarse", "standard", "fine", REFERENCE_MESH)
+MESHES = ("draft", "coarse", "standard", "medium", "fine", REFERENCE_MESH)
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def _error(mine: Iterable[float], right: Iterable[float]) -> float:
 
 
 def cheapest(record: Record, program: str, tip: float, inflation: float) -> Run | None:
-    """The run of a program that is at least so accurate in the least time.
+    """The run of a program that is at least so accurate in the least processor time.
 
     Parameters
     ----------
@@ -135,4 +135,4 @@ def cheapest(record: Record, program: str, tip: float, inflation: float) -> Run 
             errors = record.errors(run)
             if errors[0] <= tip and errors[1] <= inflation:
                 good.append(run)
-    return min(good, key=lambda run: run.seconds, default=None)
+    return min(good, key=lambda run: run.processor, default=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from .record import OWN, REFERENCE_MESH, Record, Run, cheapest
@@ -25,9 +26,20 @@ def answers(record: Record) -> str:
     spots = [record.pressure.index(at) for at in AT]
     rows = []
     for run in record.runs:
-        pairs = [f"{run.tip[i]:.1f} / {run.inflation[i]:.1f}" for i in spots if run.tip]
-        rows.append([run.program, run.mesh, *(pairs or ["" for _ in spots])])
+        if run.done:
+            pairs = [f"{run.tip[i]:.1f} / {run.inflation[i]:.1f}" for i in spots]
+            rows.append([run.program, run.mesh, *pairs])
     return table(["program", "mesh", *(f"{at:.0f} kPa" for at in AT)], rows)
+
+
+def failures(record: Record) -> str:
+    """Runs that gave nothing, and why."""
+    lines = [
+        f"- {run.program}, {run.mesh} mesh: {run.reason}\n"
+        for run in record.runs
+        if not run.done
+    ]
+    return "".join(["Without an answer:\n\n", *lines, "\n"]) if lines else ""
 
 
 def costs(record: Record) -> str:
@@ -35,7 +47,6 @@ def costs(record: Record) -> str:
     rows = []
     for run in record.runs:
         if not run.done:
-            rows.append([run.program, run.mesh, run.reason, *[""] * 8])
             continue
         numbers = [
             f"{run.unknowns}",
@@ -59,20 +70,26 @@ def costs(record: Record) -> str:
         "factorisations",
         "tip error, %",
         "inflation error, %",
+        "ratio on this mesh",
         "our cheapest run as accurate",
-        "its seconds, times fewer",
+        "ratio to that",
     ]
     return table(head, rows)
 
 
 def _matched(record: Record, run: Run) -> list[str]:
-    """Our cheapest run that is no worse than a peer's, and the ratio of seconds."""
+    """A peer's time over ours: same mesh; our cheapest run that is no worse."""
     if run.program == OWN:
-        return ["", ""]
+        return ["", "", ""]
+    try:
+        same = run.processor / record.find(OWN, run.mesh).processor
+    except LookupError:
+        same = math.nan
+    cells = [f"{same:.1f}" if math.isfinite(same) else ""]
     ours = cheapest(record, OWN, *record.errors(run))
     if ours is None:
-        return ["none", ""]
-    return [ours.mesh, f"{run.seconds / ours.seconds:.1f}"]
+        return [*cells, "none", ""]
+    return [*cells, ours.mesh, f"{run.processor / ours.processor:.1f}"]
 
 
 def wanted(record: Record) -> str:
@@ -83,14 +100,14 @@ def wanted(record: Record) -> str:
         run = cheapest(record, program, *WANTED)
         if run is None:
             tried = [r for r in record.runs if r.program == program and r.done]
-            longest = max((r.seconds for r in tried), default=0.0)
-            more = longest / ours.seconds if ours else 0.0
+            longest = max((r.processor for r in tried), default=0.0)
+            more = longest / ours.processor if ours else 0.0
             said = f"more than {more:.0f}" if more else ""
             rows.append([program, "none of these", f"more than {longest:.0f}", said])
         else:
-            ratio = f"{run.seconds / ours.seconds:.1f}" if ours else ""
-            rows.append([program, run.mesh, f"{run.seconds:.1f}", ratio])
-    return table(["program", "mesh", "seconds", "times ours"], rows)
+            ratio = f"{run.processor / ours.processor:.1f}" if ours else ""
+            rows.append([program, run.mesh, f"{run.processor:.1f}", ratio])
+    return table(["program", "mesh", "processor seconds", "ratio"], rows)
 
 
 def uncertainty(record: Record) -> str:
@@ -151,7 +168,8 @@ displacements (`datagen/observe.py`).
 
 One run each, one at a time. {record.hardware}. Seconds are wall time from the mesh in
 memory to the last displacement: imports and compilation are left out; for CalculiX it
-is the whole run of `ccx`. A run is stopped after {record.limit:.0f} s.
+is the whole run of `ccx`. A run is stopped after {record.limit:.0f} s. Ratios are of
+processor time, which other work on the machine disturbs least.
 
 {facts}
 FElupe is shown with both linear solvers that its documentation names. In a static step
@@ -162,16 +180,15 @@ CalculiX leaves out the stiffness of the follower pressure; it converges linearl
 Tip deflection / inflation, um.
 
 {answers(record)}
-## Errors and cost
+{failures(record)}## Errors and cost
 
 Errors are the largest over the path in percent of its maximum ({span[0]:.1f} um tip,
-{span[1]:.1f} um inflation), against our solver on the reference mesh. The last two
-columns: our cheapest run whose two errors are no larger, and how many times fewer
-seconds it takes.
+{span[1]:.1f} um inflation), against our solver on the reference mesh. The last columns
+are ratios of a peer's time to ours: on the same mesh, and to our cheapest run whose two
+errors are both no larger.
 
 {costs(record)}
-Cheapest runs with the tip within {WANTED[0]:g} % and the inflation within
-{WANTED[1]:g} %:
+Cheapest runs with the tip within {WANTED[0]:g} % and inflation within {WANTED[1]:g} %:
 
 {wanted(record)}
 ## How good the reference is
