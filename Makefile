@@ -2,6 +2,7 @@
 
 PYTHON    ?= python3
 VENV      ?= .venv
+BENCH     ?= .venv-bench
 PORT      ?= 8000
 DESIGNS   ?= 304
 SEED      ?= 1
@@ -19,7 +20,7 @@ REFERENCE := runs/reference
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help run test lint format docs verification figures refinement reference \
-    kill-test system pins clean
+    bench-fem kill-test system pins clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -62,6 +63,11 @@ reference: $(INSTALLED) ## generate the reference dataset and train its model
 	mkdir -p surrogate/reference
 	cp $(REFERENCE)/dataset.h5 $(REFERENCE)/model/* surrogate/reference/
 
+# FElupe in an environment of its own: pba does not need it.
+bench-fem: $(INSTALLED) $(BENCH)/.installed ## time FElupe and CalculiX against our solver (an hour or two)
+	@sh benchmarks/system.sh
+	$(BIN)/python -m benchmarks.bench_fem --felupe-python $(BENCH)/bin/python
+
 kill-test: $(TESTABLE) ## kill -9 a generation twenty times, resume it, compare the files
 	$(BIN)/python -m examples.kill_generate --kills 20
 
@@ -74,8 +80,8 @@ pins: $(TESTABLE) ## write constraints.txt from what the environment holds
 	    | sed 's/+.*//' >> constraints.new
 	mv constraints.new constraints.txt
 
-clean: ## remove the environment and every cache
-	rm -rf $(VENV) build *.egg-info .mypy_cache .pytest_cache .ruff_cache
+clean: ## remove the environments and every cache
+	rm -rf $(VENV) $(BENCH) build *.egg-info .mypy_cache .pytest_cache .ruff_cache
 
 # Stamps make the second call instant.  A new top-level package changes what an
 # editable install has to find, hence the __init__ files.
@@ -86,6 +92,12 @@ $(INSTALLED): pyproject.toml constraints.txt $(wildcard */__init__.py) | $(BIN)/
 
 $(TESTABLE): $(INSTALLED)
 	@$(PIP) --editable '.[test]'
+	@touch $@
+
+$(BENCH)/.installed: benchmarks/requirements.txt | $(BIN)/python
+	@echo "installing FElupe into $(BENCH)"
+	@$(BIN)/python -m venv $(BENCH)
+	@$(BENCH)/bin/python -m pip install --quiet --requirement benchmarks/requirements.txt
 	@touch $@
 
 $(BIN)/python:

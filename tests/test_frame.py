@@ -52,7 +52,18 @@ def requirements() -> list[Requirement]:
 
 @pytest.mark.parametrize(
     "target",
-    ["run", "test", "lint", "format", "docs", "verification", "figures", "reference"],
+    [
+        "run",
+        "test",
+        "lint",
+        "format",
+        "docs",
+        "verification",
+        "figures",
+        "refinement",
+        "reference",
+        "bench-fem",
+    ],
 )
 def test_make_knows_the_target(target: str) -> None:
     done = subprocess.run(

@@ -1,0 +1,202 @@
+"""The benchmark's document, from its results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from .record import OWN, REFERENCE_MESH, Record, Run, cheapest
+
+AT = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+"""kPa, of the table of answers."""
+
+WANTED = (2.0, 0.5)
+"""Percent: error of tip and inflation that an answer is wanted with."""
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A markdown table."""
+    lines = [list(head)]
+    lines += [["---"] * len(lines[0]), *(list(row) for row in rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def answers(record: Record) -> str:
+    """Tip and inflation of every run."""
+    spots = [record.pressure.index(at) for at in AT]
+    rows = []
+    for run in record.runs:
+        if run.done:
+            pairs = [f"{run.tip[i]:.1f} / {run.inflation[i]:.1f}" for i in spots]
+            rows.append([run.program, run.mesh, *pairs])
+    return table(["program", "mesh", *(f"{at:.0f} kPa" for at in AT)], rows)
+
+
+def failures(record: Record) -> str:
+    """Runs that gave nothing, and why."""
+    lines = [
+        f"- {run.program}, {run.mesh} mesh: {run.reason}\n"
+        for run in record.runs
+        if not run.done
+    ]
+    return "".join(["Without an answer:\n\n", *lines, "\n"]) if lines else ""
+
+
+def costs(record: Record) -> str:
+    """Errors and cost of every run, and what we take for as good an answer."""
+    rows = []
+    for run in record.runs:
+        if not run.done:
+            continue
+        numbers = [
+            f"{run.unknowns}",
+            f"{run.seconds:.1f}",
+            f"{run.processor:.1f}",
+            f"{run.iterations}",
+            f"{run.factorisations}",
+        ]
+        if (run.program, run.mesh) == (OWN, REFERENCE_MESH):
+            errors = ["the reference", ""]
+        else:
+            errors = [f"{error:.2f}" for error in record.errors(run)]
+        rows.append([run.program, run.mesh, *numbers, *errors, *_matched(record, run)])
+    head = [
+        "program",
+        "mesh",
+        "unknowns",
+        "seconds",
+        "processor seconds",
+        "iterations",
+        "factorisations",
+        "tip error, %",
+        "inflation error, %",
+        "ratio on this mesh",
+        "our cheapest run as accurate",
+        "ratio to that",
+    ]
+    return table(head, rows)
+
+
+def _matched(record: Record, run: Run) -> list[str]:
+    """A peer's time over ours: same mesh; our cheapest run that is no worse."""
+    if run.program == OWN:
+        return ["", "", ""]
+    try:
+        same = run.processor / record.find(OWN, run.mesh).processor
+    except LookupError:
+        same = math.nan
+    cells = [f"{same:.1f}" if math.isfinite(same) else ""]
+    ours = cheapest(record, OWN, *record.errors(run))
+    if ours is None:
+        return [*cells, "none", ""]
+    return [*cells, ours.mesh, f"{run.processor / ours.processor:.1f}"]
+
+
+def wanted(record: Record) -> str:
+    """The cheapest run of each program that is as accurate as wanted."""
+    ours = cheapest(record, OWN, *WANTED)
+    rows = []
+    for program in dict.fromkeys(run.program for run in record.runs):
+        run = cheapest(record, program, *WANTED)
+        if run is None:
+            tried = [r for r in record.runs if r.program == program and r.done]
+            longest = max((r.processor for r in tried), default=0.0)
+            more = longest / ours.processor if ours else 0.0
+            said = f"more than {more:.0f}" if more else ""
+            rows.append([program, "none of these", f"more than {longest:.0f}", said])
+        else:
+            ratio = f"{run.processor / ours.processor:.1f}" if ours else ""
+            rows.append([program, run.mesh, f"{run.processor:.1f}", ratio])
+    return table(["program", "mesh", "processor seconds", "ratio"], rows)
+
+
+def uncertainty(record: Record) -> str:
+    """How far the reference itself may be off, from what refinement still moves."""
+    reference = record.find(OWN, REFERENCE_MESH)
+    words = []
+    for program in dict.fromkeys(run.program for run in record.runs):
+        for mesh in ("fine", REFERENCE_MESH):
+            try:
+                run = record.find(program, mesh)
+            except LookupError:
+                continue
+            if run is reference:
+                continue
+            tip = max(abs(a - b) for a, b in zip(run.tip, reference.tip, strict=True))
+            pairs = zip(run.inflation, reference.inflation, strict=True)
+            inflation = max(abs(a - b) for a, b in pairs)
+            words.append(
+                [
+                    f"{program}, {mesh} ({run.unknowns} unknowns)",
+                    f"{tip:.2f}",
+                    f"{inflation:.2f}",
+                ]
+            )
+    head = ["against the reference", "tip, um at most", "inflation, um at most"]
+    return table(head, words)
+
+
+def document(record: Record) -> str:
+    """The whole document, markdown."""
+    reference = record.find(OWN, REFERENCE_MESH)
+    span = max(map(abs, reference.tip)), max(map(abs, reference.inflation))
+    facts = table(
+        ["program", "versions", "converged when"],
+        [
+            [name, record.versions.get(name, "no run gave a result"), tolerance]
+            for name, tolerance in record.tolerances.items()
+        ],
+    )
+    steps = ", ".join(f"{p:g}" for p in record.pressure)
+    return f"""\
+# Finite elements side by side
+
+Written by `make bench-fem` from `fem.json`, which the same command measures. Change
+neither by hand.
+
+## The problem
+
+Device S1, case 1; W = mu/2 (I1bar - 3) + K/2 (J - 1)^2 with nu = 0.48; half symmetric;
+a follower pressure on all walls of the cavity; load steps {steps} kPa. Every program
+gets the same grid lines (`datagen/mesh.py`): ours puts 27 nodes on an element and
+projects the volume changes, the others take 20 nodes and 2 x 2 x 2 points (C3D20R in
+CalculiX). Peers work in mm, uN and Pa; in larger units absolute floors in both of them
+end their iterations early.
+
+Tip and inflation of all programs are read by the same code from the nodes'
+displacements (`datagen/observe.py`).
+
+One run each, one at a time. {record.hardware}. Seconds are wall time from the mesh in
+memory to the last displacement: imports and compilation are left out; for CalculiX it
+is the whole run of `ccx`. A run is stopped after {record.limit:.0f} s. Ratios are of
+processor time, which other work on the machine disturbs least.
+
+{facts}
+FElupe is shown with both linear solvers that its documentation names. In a static step
+CalculiX leaves out the stiffness of the follower pressure; it converges linearly.
+
+## Answers
+
+Tip deflection / inflation, um.
+
+{answers(record)}
+{failures(record)}## Errors and cost
+
+Errors are the largest over the path in percent of its maximum ({span[0]:.1f} um tip,
+{span[1]:.1f} um inflation), against our solver on the reference mesh. The last columns
+are ratios of a peer's time to ours: on the same mesh, and to our cheapest run whose two
+errors are both no larger.
+
+{costs(record)}
+Cheapest runs with the tip within {WANTED[0]:g} % and inflation within {WANTED[1]:g} %:
+
+{wanted(record)}
+## How good the reference is
+
+It is our own solver on a mesh finer than any that is offered. What the next coarser
+mesh, and another family of elements, still differ from it:
+
+{uncertainty(record)}
+The tip converges slowly, as the edges of the cavity are singular and act as hinges. An
+error of a peer that is not clearly larger than the differences above says nothing.
+"""
