@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.continuation import Options, PathFollower
+from datagen.control import Options, PathFollower
 from datagen.equilibrium import Workspace
 from datagen.model import GENERATOR_VERSION
 
