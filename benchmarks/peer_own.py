@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.control import Options, PathFollower
+from datagen.continuation import PathFollower
+from datagen.control import Options
 from datagen.equilibrium import Workspace
 from datagen.model import GENERATOR_VERSION
 
