@@ -193,7 +193,7 @@ def chosen(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--felupe-python", type=Path, default=Path(sys.executable))
-    parser.add_argument("--limit", type=float, default=1800.0, help="s, of each run")
+    parser.add_argument("--limit", type=float, default=3600.0, help="s, of each run")
     parser.add_argument("--only", nargs="*", default=[], help="NAME or NAME:MESH")
     parser.add_argument("--table", action="store_true", help="write the document alone")
     given = parser.parse_args()

@@ -188,6 +188,12 @@ def _busy() -> float:
     return used.ru_utime + used.ru_stime
 
 
+def linear_solver(said: str) -> str:
+    """The linear solver that ccx said it used."""
+    found = re.search(r"using the symmetric (\w+) solver", said)
+    return found[1].upper() if found else "not named"
+
+
 def solve(question: Question) -> Answer:
     """Run ccx in a folder of its own.
 
@@ -232,7 +238,7 @@ def solve(question: Question) -> Answer:
             iterations=iterations,
             factorisations=iterations,
             unknowns=question.unknowns,
-            versions={"CalculiX": number},
+            versions={"CalculiX": number, "linear solver": linear_solver(done.stdout)},
         ),
     )
 

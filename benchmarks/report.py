@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from .record import OWN, REFERENCE_MESH, Record, Run, cheapest
+from .record import MESHES, OWN, REFERENCE_MESH, Record, Run, cheapest
 
 AT = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 """kPa, of the table of answers."""
@@ -32,13 +32,42 @@ def answers(record: Record) -> str:
     return table(["program", "mesh", *(f"{at:.0f} kPa" for at in AT)], rows)
 
 
+def _apart(one: Run, other: Run) -> tuple[float, float]:
+    """Largest difference of tip and inflation over the path, um."""
+    pairs = ((one.tip, other.tip), (one.inflation, other.inflation))
+    tip, inflation = (
+        max(abs(a - b) for a, b in zip(*both, strict=True)) for both in pairs
+    )
+    return tip, inflation
+
+
+def agreement(record: Record) -> str:
+    """How far the peers, which have the same element, are from each other."""
+    lines = []
+    for mesh in dict.fromkeys(run.mesh for run in record.runs):
+        peers = [
+            r for r in record.runs if r.done and r.mesh == mesh and r.program != OWN
+        ]
+        if len({run.program for run in peers}) > 1:
+            apart = [_apart(one, other) for one in peers for other in peers]
+            tip, inflation = (max(values) for values in zip(*apart, strict=True))
+            lines.append([mesh, f"{tip:.2f}", f"{inflation:.2f}"])
+    head = ["mesh", "tip, um at most", "inflation, um at most"]
+    said = "The peers, which have the same element, differ from each other by"
+    return f"{said}\n\n{table(head, lines)}\n" if lines else ""
+
+
 def failures(record: Record) -> str:
-    """Runs that gave nothing, and why."""
+    """Runs that gave nothing, and why; runs that were not made."""
     lines = [
         f"- {run.program}, {run.mesh} mesh: {run.reason}\n"
         for run in record.runs
         if not run.done
     ]
+    for program in record.tolerances:
+        made = {run.mesh for run in record.runs if run.program == program}
+        left = ", ".join(mesh for mesh in MESHES if mesh not in made)
+        lines += [f"- {program}: not run on {left}\n"] if left else []
     return "".join(["Without an answer:\n\n", *lines, "\n"]) if lines else ""
 
 
@@ -122,9 +151,7 @@ def uncertainty(record: Record) -> str:
                 continue
             if run is reference:
                 continue
-            tip = max(abs(a - b) for a, b in zip(run.tip, reference.tip, strict=True))
-            pairs = zip(run.inflation, reference.inflation, strict=True)
-            inflation = max(abs(a - b) for a, b in pairs)
+            tip, inflation = _apart(run, reference)
             words.append(
                 [
                     f"{program}, {mesh} ({run.unknowns} unknowns)",
@@ -157,30 +184,37 @@ neither by hand.
 ## The problem
 
 Device S1, case 1; W = mu/2 (I1bar - 3) + K/2 (J - 1)^2 with nu = 0.48; half symmetric;
-a follower pressure on all walls of the cavity; load steps {steps} kPa. Every program
-gets the same grid lines (`datagen/mesh.py`): ours puts 27 nodes on an element and
-projects the volume changes, the others take 20 nodes and 2 x 2 x 2 points (C3D20R in
-CalculiX). Peers work in mm, uN and Pa; in larger units absolute floors in both of them
-end their iterations early.
+a follower pressure on all walls of the cavity. Load steps, kPa:
+{steps}.
+
+Every program gets the same grid lines (`datagen/mesh.py`, `benchmarks/case.py`): ours
+puts 27 nodes on an element and projects the volume changes, the others take 20 nodes
+and 2 x 2 x 2 points (C3D20R in CalculiX). Peers work in mm, uN and Pa; in larger units
+absolute floors in both of them end their iterations early.
 
 Tip and inflation of all programs are read by the same code from the nodes'
 displacements (`datagen/observe.py`).
 
-One run each, one at a time. {record.hardware}. Seconds are wall time from the mesh in
+{record.hardware}.
+
+One run each, one at a time, stopped after {record.limit:.0f} s, though not all in one
+call where some were measured again (`--only`). Seconds are wall time from the mesh in
 memory to the last displacement: imports and compilation are left out; for CalculiX it
-is the whole run of `ccx`. A run is stopped after {record.limit:.0f} s. Ratios are of
-processor time, which other work on the machine disturbs least.
+is the whole run of `ccx`. Where they exceed the processor's seconds by
+far, the machine had other work; ratios are of the latter.
 
 {facts}
-FElupe is shown with both linear solvers that its documentation names. In a static step
-CalculiX leaves out the stiffness of the follower pressure; it converges linearly.
+FElupe is shown with its default linear solver and with the one that its documentation
+names as the faster; each load step starts from the last solution. In a static step
+CalculiX leaves out the stiffness of the follower pressure: its corrections shrink by a
+constant factor, which comes close to one as the pressure grows.
 
 ## Answers
 
 Tip deflection / inflation, um.
 
 {answers(record)}
-{failures(record)}## Errors and cost
+{agreement(record)}{failures(record)}## Errors and cost
 
 Errors are the largest over the path in percent of its maximum ({span[0]:.1f} um tip,
 {span[1]:.1f} um inflation), against our solver on the reference mesh. The last columns

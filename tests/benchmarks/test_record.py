@@ -72,6 +72,7 @@ def test_ratios_are_of_seconds_at_matched_accuracy() -> None:
     assert lines["peer", "coarse"].endswith("| 15.00 | 0.40 |  | draft | 30.0 |")
     assert lines["peer", "fine"].endswith("| 1.50 | 0.40 |  | standard | 15.0 |")
     assert ("peer", "draft") not in lines
+    assert "- peer: not run on standard, medium, reference\n" in document(record())
     both = record().with_run(run("peer", "standard", 32.0, 0.2, 0.5))
     assert "| 0.20 | 8.0 | standard | 8.0 |" in costs(both)
     assert "- peer, draft mesh: failed past 30 kPa\n" in document(record())
