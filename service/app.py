@@ -234,6 +234,8 @@ def input_error(problem: Mapping[str, Any]) -> InputError:
     """
     location = [part for part in problem["loc"] if part not in ("body", "query")]
     value = _shown(problem.get("input"))
+    if problem["type"] == "unknown_field" and not location:
+        return InputError("body", problem["ctx"]["name"], problem["ctx"]["allowed"])
     if not location:
         return InputError(
             "body", value, "a JSON object, sent with Content-Type: application/json"
@@ -256,7 +258,7 @@ def input_error(problem: Mapping[str, Any]) -> InputError:
 def _shown(value: object) -> object:
     """A value for an error: short, whatever was sent."""
     if isinstance(value, (dict, list)):
-        return Words(f"a {'list' if isinstance(value, list) else 'object'}")
+        return Words("a list" if isinstance(value, list) else "an object")
     if isinstance(value, (str, bytes)) and len(value) > 60:
         return Words(f"{value[:60]!r}...")
     return value

@@ -58,6 +58,14 @@ def test_bad_design(
         assert part in error["message"]
 
 
+def test_an_unknown_name_at_the_top(client: TestClient) -> None:
+    body = {"device": "S1", "pressure_kPa": [10]}
+    error = the_error(client.post("/v1/predict", json=body), 422)
+    assert error["field"] == "body"
+    assert "'device' is not allowed" in error["message"]
+    assert "design, pressure_kPa" in error["allowed"]
+
+
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
 def test_numbers_that_json_does_not_have(client: TestClient, number: str) -> None:
     headers = {"Content-Type": "application/json"}
