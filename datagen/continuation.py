@@ -61,7 +61,6 @@ class PathFollower:
         if directions:
             assert isinstance(problem, Problem), "outputs are those of a device"
             self._sensitivity = Sensitivity(problem, directions, self.workspace)
-        self._differentiate = bool(directions)
         self.counters = Counters()
         self.limit: Point | None = None
         self._rate = 1.0  # seconds a pascal of the way to the next target
@@ -71,7 +70,7 @@ class PathFollower:
         self._before: Point | None = None
         self._keep_all, self._past_limits = False, False
         self._predicted_negative = 0
-        self._length = self._where = 0.0  # of the path so far, and with the next step
+        self._length = 0.0  # of the path so far
         self._heading = 1.0
         self.first_volume = self.equations.volume(problem.nodes)
         faces = problem.mesh.cavity_faces[:, [0, 2, 8, 6]]
@@ -81,7 +80,7 @@ class PathFollower:
         )
         self._area = float(np.linalg.norm(np.cross(one, two), axis=1).sum() / 2) or 1.0
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
-        self.point = self._start()
+        self.point = self._differentiated(self._start(), 1.0)
         self._last = [self.point]
         first = self.options.first_step * self._thin
         self._step = first / (_largest(self.point.direction) or 1.0)
@@ -151,7 +150,7 @@ class PathFollower:
         eq, options = self.equations, self.options
         fresh, age, best, last = True, 0, np.inf, np.inf
         load = np.zeros(0)
-        self._effort = 0
+        self._effort = self._predicted_negative = 0
         mixing = Mixing(options.memory)
         across = eq.restrict(plane[0].normal) if plane else np.zeros(0)
         for _ in range(options.iterations):
@@ -210,7 +209,7 @@ class PathFollower:
         length = float(np.sqrt(np.vdot(normal, direction))) or np.inf
         if self.point is not None and np.vdot(normal, self.point.direction) < 0:
             length = -length  # past a limit point the path goes on, the pressure falls
-        point = Point(
+        return Point(
             x=x,
             pressure=pressure,
             volume=ev.volume,
@@ -220,27 +219,33 @@ class PathFollower:
             stress=eq.stress(x, dt),
             negative=self._solver.negative,
         )
-        if self._differentiate and self._sensitivity is not None:
-            point = replace(point, jacobian=self._slopes(self._sensitivity, point, dt))
-        return point
 
-    def _slopes(self, sensitivity: Sensitivity, point: Point, dt: float) -> Array:
-        """Derivatives at a point, with another factorisation where one is needed."""
+    def _differentiated(self, point: Point, dt: float) -> Point:
+        """The point with derivatives, NaN where they grow without bound.
+
+        Only for points that are accepted: a refused one may lie on another branch.
+        """
+        sensitivity = self._sensitivity
+        if sensitivity is None:
+            return point
 
         def visit() -> Array | None:
             return sensitivity.visit(
-                self.equations, self._solver, point, dt, self.first_volume, self._where
+                self.equations, self._solver, point, dt, self.first_volume, self._length
             )
 
-        jacobian = visit()
-        if jacobian is None:
-            ev = self._evaluate(point.x, point.pressure, dt, True)
-            self._factorise(ev)
+        jacobian: Array | None = None
+        try:
             jacobian = visit()
-        if jacobian is None:  # next to a limit point, where they grow without bound
+            if jacobian is None:  # the corrector's factorisation was not near enough
+                self._factorise(self._evaluate(point.x, point.pressure, dt, True))
+                jacobian = visit()
+        except (StepFailed, InvertedElement):
+            jacobian = None
+        if jacobian is None:
             shape = (len(OUTPUT_NAMES), len(sensitivity.names))
             jacobian = np.full(shape, np.nan)
-        return jacobian
+        return replace(point, jacobian=jacobian)
 
     def _refine(self, x: Array, pressure: float, dt: float, ev: Evaluation) -> Array:
         """Displacements a pascal: K u = dV/dx, by conjugate gradients.
@@ -284,7 +289,6 @@ class PathFollower:
         while share < 1:
             target = min(1.0, share + step)
             eq.set_share(target)
-            self._differentiate = self._sensitivity is not None and target == 1
             try:
                 guess = _extrapolate(known[-3:], target)
                 point = self._correct(guess, target * pressure, 1.0)
@@ -351,8 +355,6 @@ class PathFollower:
                 dt = self._rate * max(abs(goal - here.pressure), 1e-9)
                 plane = None if hit else (chart, s)
                 expected = self._expected_stress(chart, s)
-                self._differentiate = self._wants_derivatives(hit)
-                self._where = self._length + abs(s)
                 point = self._correct(x, goal, dt, plane, expected)
                 if _largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
@@ -366,7 +368,11 @@ class PathFollower:
                     raise
                 self._definite = here.negative == 0  # a bad iterate tells nothing
                 continue
-            self._length = self._where
+            self._length += abs(s)
+            if self._wants_derivatives(hit):
+                point = self._differentiated(point, dt)
+            if self._sensitivity is not None:
+                self._sensitivity.keep(point, dt)
             self._accept(point, x, abs(s))
             return hit
 
@@ -394,7 +400,6 @@ class PathFollower:
         assert a is not None
         best = max(a, b, key=lambda point: point.pressure)
         scale = abs(a.slope) + abs(b.slope)
-        self._differentiate = False  # they are infinite at a limit point
         for _ in range(6):
             chart = Chart(b, a, a.normal + b.normal)
             s = chart.turning()

@@ -128,10 +128,12 @@ class Model:
         found = []
         for name in CONTINUOUS_FIELDS:
             value = float(getattr(design, name))
-            room = LIMITS[name].upper - value
             step = FIELD_STEP * value
-            step = step if step < room else -step
-            other = design.with_values(**{name: value + step})
+            try:
+                other = design.with_values(**{name: value + step})
+            except InputError:  # at the end of what is allowed or fits: step back
+                step = -step
+                other = design.with_values(**{name: value + step})
             found.append(Direction(name, step, self.problem(other)))
         values: dict[str, dict[str, float]] = self.__dict__["_values"]
         for one in self.active:

@@ -129,18 +129,14 @@ class Sensitivity:
         enough; what was found so far is kept for another try.
         """
         problem = self.problem
-        gauge = (point.pressure - problem.pressure_offset) / problem.pressure_gain
         residual = here.evaluate(point.x, point.pressure, dt).residual
         values = self._instruments.read(point.x, point.volume - first_volume)
-        pressures = [
-            one.problem.pressure_gain * gauge + one.problem.pressure_offset
-            for one in self.directions
-        ]
 
         def lack(k: int) -> Array:
             """What is missing at the equilibrium of problem k as far as it is known."""
             x = self._nodes_ahead(point, k)
-            ahead = self._ahead[k].evaluate(x, pressures[k], dt)
+            pressure = self._pressure_ahead(point, k)
+            ahead = self._ahead[k].evaluate(x, pressure, dt)
             rate: Array = (residual - ahead.residual) / self.directions[k].step
             return rate
 
@@ -174,9 +170,15 @@ class Sensitivity:
             volume = ahead.volume(x) - self._first_volume[k]
             after = self._read_ahead[k].read(x, volume)
             jacobian[:, k] = (after - values) / direction.step
-            if self.has_history:
-                ahead.history = ahead.evaluate(x, pressures[k], dt).history
         return jacobian
+
+    def keep(self, point: Point, dt: float) -> None:
+        """Let the step that led to a visited point be part of the laws' history."""
+        if not self.has_history:
+            return
+        for k, ahead in enumerate(self._ahead):
+            x, pressure = self._nodes_ahead(point, k), self._pressure_ahead(point, k)
+            ahead.history = ahead.evaluate(x, pressure, dt).history
 
     def _guess(self, where: float) -> None:
         """Expect derivatives at a place of the path, from those at the last ones."""
@@ -186,6 +188,12 @@ class Sensitivity:
             guess += np.prod([(where - o) / (here - o) for o in others]) * follow
         self._follow = guess
         self._known = [*self._known, (where, guess)][-3:]
+
+    def _pressure_ahead(self, point: Point, k: int) -> float:
+        """Cavity pressure of problem k at the gauge pressure of a point, Pa."""
+        here, there = self.problem, self.directions[k].problem
+        gauge = (point.pressure - here.pressure_offset) / here.pressure_gain
+        return there.pressure_gain * gauge + there.pressure_offset
 
     def _nodes_ahead(self, point: Point, k: int) -> Array:
         """Deformed nodes (n, 3), m, of problem k at a point, as far as is known."""

@@ -68,6 +68,16 @@ def test_design_fields(
     assert worst(found, wanted, response.values, value).max() < 1e-3
 
 
+def test_a_field_at_its_end_is_stepped_back(model: Model) -> None:
+    """Neither thicker than allowed nor longer than fits: derivatives from below."""
+    design = named_device("S1").with_values(upper_thickness=2e-3)
+    tight = design.with_values(length=design.balloon_start + design.span_x + 20e-6)
+    steps = {one.name: one.step for one in model.directions(tight)}
+    assert steps["upper_thickness"] < 0
+    assert steps["balloon_length"] < 0
+    assert steps["width"] > 0
+
+
 def test_values_are_those_without_derivatives(
     model: Model, divided: Design, response: Response
 ) -> None:
