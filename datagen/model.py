@@ -120,13 +120,35 @@ class Model:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
 
-    def directions(self, design: Design) -> list[Direction]:
+    def directions(
+        self, design: Design, wanted: Sequence[str] | None = None
+    ) -> list[Direction]:
         """Each continuous design field and active effect's parameter, a step ahead.
 
         The other fields stay: with a longer balloon the tip margin is shorter.
+
+        Parameters
+        ----------
+        design : Design
+        wanted : sequence of str, optional
+            Names of the fields and ``effect.parameter`` to differentiate by; all by
+            default.
+
+        Raises
+        ------
+        InputError
+            When a name is unknown.
         """
+        known = [*CONTINUOUS_FIELDS]
+        known += [f"{one.name}.{p.name}" for one in self.active for p in one.parameters]
+        wanted = known if wanted is None else wanted
+        for name in wanted:
+            if name not in known:
+                raise InputError("sensitivities", name, ", ".join(known))
         found = []
         for name in CONTINUOUS_FIELDS:
+            if name not in wanted:
+                continue
             value = float(getattr(design, name))
             step = FIELD_STEP * value
             try:
@@ -138,6 +160,8 @@ class Model:
         values: dict[str, dict[str, float]] = self.__dict__["_values"]
         for one in self.active:
             for parameter in one.parameters:
+                if f"{one.name}.{parameter.name}" not in wanted:
+                    continue
                 value = values[one.name][parameter.name]
                 step = PARAMETER_STEP * (parameter.upper - parameter.lower)
                 step = step if value + step <= parameter.upper else -step
@@ -150,11 +174,18 @@ class Model:
                 found.append(Direction(name, step, other_model.problem(design)))
         return found
 
+    def _directions(
+        self, design: Design, sensitivities: bool | Sequence[str]
+    ) -> list[Direction]:
+        if isinstance(sensitivities, bool):
+            return self.directions(design) if sensitivities else []
+        return self.directions(design, sensitivities)
+
     def __call__(
         self,
         designs: Sequence[Design],
         paths: Sequence[Path],
-        sensitivities: bool = False,
+        sensitivities: bool | Sequence[str] = False,
     ) -> Response:
         """Solve each design along its own path.
 
@@ -162,9 +193,9 @@ class Model:
         ----------
         designs, paths : sequences of equal length n
             Paths may have different numbers of load steps; NaN pads the result.
-        sensitivities : bool
+        sensitivities : bool or sequence of str
             Differentiate every value by the design's continuous fields and the active
-            effects' parameters.
+            effects' parameters, or by those named.
 
         Returns
         -------
@@ -179,7 +210,7 @@ class Model:
                     self.problem(design),
                     path,
                     self._workspace,
-                    directions=self.directions(design) if sensitivities else (),
+                    directions=self._directions(design, sensitivities),
                 )
                 for design, path in zip(designs, paths, strict=True)
             ]

@@ -47,6 +47,18 @@ def smooth_kernel(place: Array, length: float = LENGTH) -> Array:
     return kernel
 
 
+_ARRAYS = (
+    "value",
+    "group",
+    "curve",
+    "place",
+    "noise",
+    "stated",
+    "device",
+    "scale",
+)
+
+
 @dataclass(frozen=True)
 class Readings:
     """Measured numbers and what is known of their errors.
@@ -62,8 +74,9 @@ class Readings:
         Along a curve, 0 to 1 of the common range of pressure.
     noise : (n,) array
         Standard deviation of independent errors, stated or guessed; above 0.
-    stated : bool
-        Whether `noise` is stated; where not, its factor is inferred for each group.
+    stated : (n,) array of bool
+        Whether `noise` is stated; a group with readings where it is not has a factor
+        that is inferred.
     device : (n,) array of int
         Unit that is held out when predictions are judged.
     scale : (n,) array
@@ -77,14 +90,14 @@ class Readings:
     curve: Array
     place: Array
     noise: Array
-    stated: bool
+    stated: Array
     device: Array
     scale: Array
     correlated: bool = True
 
     def __post_init__(self) -> None:
         n = len(self.value)
-        for name in ("group", "curve", "place", "noise", "device", "scale"):
+        for name in _ARRAYS[1:]:
             if getattr(self, name).shape != (n,):
                 raise InputError(name, getattr(self, name).shape, f"shape {(n,)}")
         if not (np.isfinite(self.noise).all() and (self.noise > 0).all()):
@@ -95,19 +108,7 @@ class Readings:
     def subset(self, keep: Array) -> Readings:
         """Those readings where `keep` (n,) is true."""
         return Readings(
-            **{
-                name: getattr(self, name)[keep]
-                for name in (
-                    "value",
-                    "group",
-                    "curve",
-                    "place",
-                    "noise",
-                    "device",
-                    "scale",
-                )
-            },
-            stated=self.stated,
+            **{name: getattr(self, name)[keep] for name in _ARRAYS},
             correlated=self.correlated,
         )
 
@@ -182,16 +183,19 @@ class Frame:
     def hyper(self, common: bool = False) -> Hyper:
         """Amplitudes to be inferred; `common` adds those of an unknown effect."""
         groups = [int(g) for g in np.unique(self.group)]
+        open_groups = [
+            g for g in groups if not self.readings.stated[self.group == g].all()
+        ]
+        smooth = groups if self.readings.correlated else []
         names, centre, width = [], [], []
-        for kind, wanted, middle, spread in (
-            ("noise", not self.readings.stated, 1.0, NOISE_WIDTH),
-            ("smooth", self.readings.correlated, SMOOTH_CENTRE, SMOOTH_WIDTH),
-            ("common", common, COMMON_CENTRE, COMMON_WIDTH),
+        for kind, chosen, middle, spread in (
+            ("noise", open_groups, 1.0, NOISE_WIDTH),
+            ("smooth", smooth, SMOOTH_CENTRE, SMOOTH_WIDTH),
+            ("common", groups if common else [], COMMON_CENTRE, COMMON_WIDTH),
         ):
-            if wanted:
-                names += [f"{kind} {g}" for g in groups]
-                centre += [math.log(middle)] * len(groups)
-                width += [spread] * len(groups)
+            names += [f"{kind} {g}" for g in chosen]
+            centre += [math.log(middle)] * len(chosen)
+            width += [spread] * len(chosen)
         return Hyper(tuple(names), np.array(centre), np.array(width))
 
 

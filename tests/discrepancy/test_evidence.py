@@ -38,7 +38,7 @@ def independent(value: Array, noise: float) -> Readings:
         curve=zero,
         place=np.linspace(0, 1, n),
         noise=np.full(n, noise),
-        stated=True,
+        stated=np.ones(n, dtype=bool),
         device=zero,
         scale=np.ones(n),
         correlated=False,
@@ -107,7 +107,7 @@ def test_calibrations_are_integrated_out() -> None:
         curve=np.repeat([0, 1, 2, 3], 6),
         place=np.tile(np.linspace(0.1, 1, 6), 4),
         noise=rng.uniform(0.5, 2.0, n),
-        stated=False,
+        stated=np.zeros(n, dtype=bool),
         device=np.tile(np.repeat([0, 1], 6), 2),
         scale=np.repeat([3.0, 4.0, 5.0, 6.0], 6),
     )
