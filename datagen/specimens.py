@@ -129,14 +129,14 @@ def bulge_body(specimen: Bulge, level: MeshLevel) -> Body:
     half = np.sort([specimen.width, specimen.length]) / 2
     thickness = specimen.thickness
     count = 2 * level.balloon_y
-    lines = [
+    across, along = (
         graded(float(half[i]), 0.0, n, first * thickness, STEEPEST_BULGE)[::-1]
         for i, n, first in (
             (0, count, 2 * level.edge_y),
             (1, 2 * count, 4 * level.edge_x),
         )
-    ]
-    part = brick(*lines, np.linspace(0.0, thickness, level.membrane + 1))
+    )
+    part = brick(across, along, np.linspace(0.0, thickness, level.membrane + 1))
     nodes = part.nodes
     near = 1e-9 * half[1]
     fixed = np.zeros(nodes.shape, dtype=bool)
