@@ -15,11 +15,20 @@ from .effects import Effect, catalogue
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
 from .mesh import mesh_level
-from .problem import STAGES, Problem, baseline
+from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
 from .sensitivity import Direction
 from .solver import solve
 from .space import Space
+from .specimens import (
+    Bulge,
+    Tensile,
+    bulge_body,
+    solve_bulge,
+    tensile_body,
+    tensile_stress,
+    with_effects,
+)
 
 Array = np.ndarray
 
@@ -269,6 +278,49 @@ class Model:
                 "pressure_kPa", pressure / 1e3, f"less: {outcome.message}", "kPa"
             )
         return problem, follower.point.x
+
+    def _with_effects(self, body: Body) -> Body:
+        values = self.__dict__["_values"]
+        return with_effects(body, [(one, values[one.name]) for one in self.active])
+
+    def bulge(self, specimen: Bulge, path: Path) -> Response:
+        """Deflection of a membrane over a hole, with the active effects that act on it.
+
+        Parameters
+        ----------
+        specimen : Bulge
+        path : Path
+
+        Returns
+        -------
+        Response
+            Of one specimen, see `specimens.solve_bulge`.
+        """
+        body = self._with_effects(bulge_body(specimen, mesh_level(self.level)))
+        return solve_bulge(body, path, self._workspace)
+
+    def tensile(
+        self, specimen: Tensile, stretch: Array, time: Array | None = None
+    ) -> Array:
+        """Nominal stress (s,), Pa, with the active effects that act on a specimen.
+
+        Parameters
+        ----------
+        specimen : Tensile
+        stretch : (s,) array
+            In the order in which it is applied.
+        time : (s,) array, s, optional
+            Of each stretch, for laws with history.
+        """
+        body = self._with_effects(tensile_body(specimen))
+        return tensile_stress(
+            body.laws[int(body.mesh.layer[0])],
+            float(body.shear_modulus[0]),
+            stretch,
+            specimen.mode,
+            float(body.bulk_modulus[0]),
+            time,
+        )
 
 
 def stack(responses: Sequence[Response]) -> Response:
