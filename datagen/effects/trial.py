@@ -8,6 +8,9 @@ a weight that is zero.
 
 from __future__ import annotations
 
+import inspect
+import re
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, fields, is_dataclass
@@ -20,11 +23,12 @@ import numpy as np
 from ..continuation import PathFollower
 from ..device import Design, named_device
 from ..equilibrium import Equilibrium, Workspace
+from ..errors import EffectError
 from ..mesh import mesh_level
 from ..problem import Problem, baseline
 from ..response import OUTPUT_NAMES, Path, Response
 from ..solver import solve
-from .door import Effect
+from .door import AUTHORS_ERRORS, Effect
 
 Array = np.ndarray
 Values = dict[str, float]
@@ -105,6 +109,10 @@ class State:
     direction: Array
 
 
+class NoAnswer(EffectError):
+    """An effect stopped with an error of its own where an answer was due."""
+
+
 class Subject:
     """An effect under test; what several checks need of it is computed once."""
 
@@ -157,17 +165,22 @@ class Subject:
                 found.append(values)
         return found
 
-    def problem(self, values: Values) -> Problem:
-        """A fresh problem with the effect in it."""
-        return self.effect.apply(self.ground.problem(), values)
-
     def response(self, values: Values) -> Response:
-        """Along `PATH` with the effect in it."""
+        """Along `PATH` with the effect in it.
+
+        Raises
+        ------
+        NoAnswer
+            When the effect, or the solver on what it has made, stops with an error.
+        """
         key = tuple(values[p.name] for p in self.effect.parameters)
         if key not in self._responses:
-            self._responses[key] = solve(
-                self.problem(values), PATH, self.ground.workspace
-            )
+            try:
+                problem = self.effect.apply(self.ground.problem(), values)
+                self._responses[key] = solve(problem, PATH, self.ground.workspace)
+            except AUTHORS_ERRORS as error:
+                words = f"{told(self.effect, error)}, at {spelled(values)}"
+                raise NoAnswer(words) from error
         return self._responses[key]
 
     @property
@@ -177,7 +190,7 @@ class Subject:
     @cached_property
     def state(self) -> State:
         """In the middle of the range, under pressure and unloading."""
-        problem = self.problem(self.middle)
+        problem = self.effect.apply(self.ground.problem(), self.middle)
         follower = PathFollower(problem, self.ground.workspace)
         follower.run(PATH.pressure, PATH.time)
         point = follower.point
@@ -189,6 +202,21 @@ class Subject:
             equations=follower.equations,
             direction=point.direction,
         )
+
+
+def spelled(values: Mapping[str, float]) -> str:
+    """Parameters and their values, for messages."""
+    return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
+
+
+def told(effect: Effect, error: BaseException) -> str:
+    """An error and where in the author's file it came from, in one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if f.filename == inspect.getsourcefile(effect.change)]
+    last = (own or frames)[-1]
+    file = re.split(r"[\\/]", last.filename)[-1]
+    what = f"{type(error).__name__}: {error}".rstrip(": ")
+    return f"{what} ({file}, line {last.lineno})"
 
 
 def leaves(value: object, name: str = "") -> Iterator[tuple[str, object]]:
