@@ -205,7 +205,7 @@ def continuous(subject: Subject) -> Finding:
         jumps = (sizes[1] > NOISE) & (
             sizes[1] > sizes[0] * (DEPARTURES[1] / DEPARTURES[0]) ** LEAST_ORDER
         )
-        side = "above" if up else "below"
+        side = "upwards" if up else "downwards"
         numbers |= {f"change_{side}_far": far, f"change_{side}_near": near}
         if jumps.any():
             k = int(np.argmax(np.where(jumps, sizes[1], 0.0)))
@@ -216,11 +216,12 @@ def continuous(subject: Subject) -> Finding:
             )
             return Finding(False, words, numbers)
     words = ", ".join(
-        f"{numbers[f'change_{side}_far']:.1e} to {numbers[f'change_{side}_near']:.1e}"
-        for side in ("above", "below")
+        f"from {numbers[f'change_{side}_far']:.1e} to "
+        f"{numbers[f'change_{side}_near']:.1e} {side}"
+        for side in ("upwards", "downwards")
         if f"change_{side}_far" in numbers
     )
-    words = f"a tenth of the departure shrinks the change: {words}"
+    words = f"a tenth of the departure changes the outputs less: {words}"
     return Finding(True, words, numbers)
 
 
@@ -241,7 +242,11 @@ def finite(subject: Subject) -> Finding:
             names = ", ".join(np.array(OUTPUT_NAMES)[bad])
             return Finding(False, f"{names} not finite at {spelled(values)}", {})
         reached = min(reached, float(found.pressure[0][converged].max()))
-    words = f"{len(subject.corners)} corners, all solved to {reached / 1e3:g} kPa"
+    corners = len(subject.corners)
+    words = (
+        f"{corners} corner{'s' if corners > 1 else ''} of the range, each followed to "
+        f"{reached / 1e3:g} kPa"
+    )
     return Finding(True, words, {"reached_Pa": reached})
 
 
