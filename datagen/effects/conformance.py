@@ -16,6 +16,7 @@ from scipy.sparse import csr_array, diags_array
 
 from ..device import Design
 from ..equilibrium import Equilibrium
+from ..mesh import MeshLevel
 from ..observe import Instruments
 from ..problem import Problem
 from ..response import CONVERGED, OUTPUT_NAMES, Response
@@ -228,13 +229,14 @@ def continuous(subject: Subject) -> Finding:
 def finite(subject: Subject) -> Finding:
     """At the ends of its range paths are followed, with finite numbers, to 20 kPa.
 
-    Or to an end that physics may have: a limit point, or roof and floor that touch.
+    Or to an end that physics may have past the first load step, 10 kPa: a limit point,
+    or roof and floor that touch.
     """
     reached = np.inf
     for values in subject.corners:
         found = subject.response(values)
         converged = found.status[0] == CONVERGED
-        if found.path_status[0] not in PROPER_ENDS or not converged.any():
+        if found.path_status[0] not in PROPER_ENDS or not converged[1]:
             words = f"no path at {spelled(values)}: {_end(found)}"
             return Finding(False, words, {})
         if not np.isfinite(found.values[0][converged]).all():
@@ -313,7 +315,7 @@ CHECKS: tuple[Check, ...] = (
 def check(
     effect: Effect,
     design: Design | None = None,
-    level: str = "draft",
+    level: str | MeshLevel = "draft",
     ground: Ground | None = None,
 ) -> Report:
     """Check an effect against every requirement.
@@ -324,7 +326,7 @@ def check(
         Built in, or from a user's file.
     design : Design, optional
         The device on which it is tried; S1 where it is not given.
-    level : str
+    level : str or MeshLevel
         Of the mesh.
     ground : Ground, optional
         To share between effects; in place of `design` and `level`.

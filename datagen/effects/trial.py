@@ -24,7 +24,7 @@ from ..continuation import PathFollower
 from ..device import Design, named_device
 from ..equilibrium import Equilibrium, Workspace
 from ..errors import EffectError
-from ..mesh import mesh_level
+from ..mesh import MeshLevel, mesh_level
 from ..problem import Problem, baseline
 from ..response import OUTPUT_NAMES, Path, Response
 from ..solver import solve
@@ -53,12 +53,15 @@ class Ground:
     ----------
     design : Design, optional
         S1 where it is not given.
-    level : str
-        Of the mesh.
+    level : str or MeshLevel
+        Of the mesh, by name or as it is; the rules do not depend on it.
     """
 
-    def __init__(self, design: Design | None = None, level: str = "draft") -> None:
-        self._problem = baseline(design or named_device("S1"), mesh_level(level))
+    def __init__(
+        self, design: Design | None = None, level: str | MeshLevel = "draft"
+    ) -> None:
+        chosen = mesh_level(level) if isinstance(level, str) else level
+        self._problem = baseline(design or named_device("S1"), chosen)
         self.workspace = Workspace()
 
     def problem(self) -> Problem:

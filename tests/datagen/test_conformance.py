@@ -16,7 +16,7 @@ from datagen.effects import Effect, catalogue, effect
 from datagen.effects.conformance import CHECKS, NOISE, Report, check, run
 from datagen.effects.trial import PATH, Ground, Subject
 from datagen.materials import Array, Hyperelastic, LawResult, invariants
-from datagen.mesh import UPPER
+from datagen.mesh import UPPER, MeshLevel
 from datagen.problem import Problem
 from datagen.solver import solve
 from datagen.space import Parameter
@@ -25,9 +25,13 @@ SIZE = Parameter("size", "1", 0.0, 1.0, off=0.0, source="a test")
 NAMES = [one.__name__ for one in CHECKS]
 
 
+COARSE = MeshLevel("coarse", 3, 2, 1, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0)
+"""A third of the draft mesh's unknowns: enough to see whether rules are kept."""
+
+
 @pytest.fixture(scope="module")
 def ground() -> Ground:
-    return Ground()
+    return Ground(level=COARSE)
 
 
 def lines(report: Report) -> str:
@@ -144,7 +148,13 @@ def inverts(problem: Problem, size: float) -> Problem:
 
 @effect("material", [replace(SIZE, lower=-1.0)])
 def collapses(problem: Problem, size: float) -> Problem:
-    """E = E0 (1 + 0.1 size), and -E0 past size 0.9."""
+    """E = E0 (1 + 0.1 size), and none past size 0.9."""
+    return stiffer(problem, 1 + 0.1 * size if size < 0.9 else 0.0)
+
+
+@effect("material", [replace(SIZE, lower=-1.0)])
+def gives_way(problem: Problem, size: float) -> Problem:
+    """E = E0 (1 + 0.1 size), and -E0 past size 0.9: a limit point at once."""
     return stiffer(problem, 1 + 0.1 * size if size < 0.9 else -1.0)
 
 
@@ -254,6 +264,7 @@ def test_a_broken_effect_fails_exactly_its_check(name: str, ground: Ground) -> N
         ("topology", undefined, "density is not finite"),
         ("continuous", jumps_a_little, "bending_angle jumps"),
         ("finite", inverts, "is inverted (elements.py, line"),
+        ("finite", gives_way, "the path turns at 0."),
         ("finite", blinds, "inflation not finite at size = 1"),
         ("tangent", wrong_after_loading, "after loading"),
     ],
