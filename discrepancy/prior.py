@@ -112,7 +112,7 @@ class Prior:
         lower, upper = self.bounds
         inside = (t >= lower - 1e-12) & (t <= upper + 1e-12)
         if self.density == EVEN:
-            return np.where(inside, 0.0, -np.inf)
+            return np.asarray(np.where(inside, 0.0, -np.inf))
         mass = _log_mass(lower, upper)
         return np.where(
             inside, -0.5 * t**2 - 0.5 * math.log(2 * math.pi) - mass, -np.inf
@@ -124,7 +124,8 @@ class Prior:
         if self.density == EVEN:
             return np.asarray(u, dtype=float)
         a, b = ndtr(lower), ndtr(upper)
-        return np.clip(ndtri(a + (b - a) * u), lower, upper)
+        t: Array = np.clip(ndtri(a + (b - a) * u), lower, upper)
+        return t
 
 
 def _log_mass(lower: float, upper: float) -> float:
