@@ -250,8 +250,8 @@ def read_table(path: Path, data: bytes) -> Table:
             )
             continue
         own = {n: t for n, t in zip(fields, texts, strict=False) if n and t}
-        for heading, name, one in zip(headings, fields, texts, strict=False):
-            if name is None and not heading and one:
+        for heading, known, one in zip(headings, fields, texts, strict=False):
+            if known is None and not heading and one:
                 complaints.add(here, f"{one!r} stands in a column without a heading")
         rows.append(Row(here, own))
     complaints.settle()

@@ -299,7 +299,8 @@ def test_only_columns_with_something_in_them_are_written() -> None:
         "upper_thickness_um,lower_thickness_um,upper_modulus_MPa,lower_modulus_MPa,"
         "pressure_kPa,inflation_mm"
     )
-    assert len(lines) == 2 and lines[0].endswith(",0.0,")
+    assert len(lines) == 2 and lines[0].endswith(",0,")
+    assert lines[1] == "S1,6.5,2,4,1,1.25,0.2,1,1,75,95,140,2.5,4.5,10,0.11"
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
