@@ -173,6 +173,11 @@ NAMES = st.text(
 )
 
 
+def apart(value: float) -> float:
+    """Load steps nearer than this are one in a file of 15 digits."""
+    return round(value, 9)
+
+
 def near(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(low, high, allow_subnormal=False)
 
@@ -209,12 +214,12 @@ def curves_of(draw: st.DrawFn, device: str) -> list[Curve]:
             st.tuples(st.integers(1, 99), near(-6.0, 6.0)),
             min_size=1,
             max_size=2,
-            unique=True,
+            unique_by=lambda key: (key[0], apart(key[1])),
         )
     )
     found = []
     for run, orientation in keys:
-        load = draw(st.lists(near(low, high), min_size=1, max_size=5, unique=True))
+        load = draw(st.lists(near(low, high), min_size=1, max_size=5, unique_by=apart))
         n = len(load)
         outputs = tuple(
             name
