@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -32,7 +32,7 @@ from .specimens import (
 
 Array = np.ndarray
 
-GENERATOR_VERSION = "1"
+GENERATOR_VERSION = "2"
 """Changes whenever the numbers that the model gives change."""
 
 
@@ -91,8 +91,10 @@ class Model:
         for name in self.parameters:
             if name not in self.effects:
                 raise InputError("parameters", name, "names of active effects")
+        # Within a stage by name: what is active decides, not how it was written down.
         active = sorted(
-            (known[name] for name in self.effects), key=lambda e: STAGES.index(e.stage)
+            (known[name] for name in self.effects),
+            key=lambda e: (STAGES.index(e.stage), e.name),
         )
         values = {e.name: e.check(self.parameters.get(e.name, {})) for e in active}
         object.__setattr__(self, "_active", tuple(active))
@@ -129,41 +131,70 @@ class Model:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
 
-    def directions(self, design: Design) -> list[Direction]:
+    def directions(
+        self, design: Design, wanted: Sequence[str] | None = None
+    ) -> list[Direction]:
         """Each continuous design field and active effect's parameter, a step ahead.
 
         The other fields stay: with a longer balloon the tip margin is shorter.
+
+        Parameters
+        ----------
+        design : Design
+        wanted : sequence of str, optional
+            Names of the fields and ``effect.parameter`` to differentiate by; all by
+            default.
+
+        Raises
+        ------
+        InputError
+            When a name is unknown.
         """
+        known = [*CONTINUOUS_FIELDS]
+        known += [f"{one.name}.{p.name}" for one in self.active for p in one.parameters]
+        wanted = known if wanted is None else wanted
+        for name in wanted:
+            if name not in known:
+                raise InputError("sensitivities", name, ", ".join(known))
+        values: dict[str, dict[str, float]] = self.__dict__["_values"]
+
+        def of_field(name: str, value: float) -> Problem:
+            return self.problem(design.with_values(**{name: value}))
+
+        def of_parameter(effect: str, name: str, value: float) -> Problem:
+            moved = {**values, effect: {**values[effect], name: value}}
+            return replace(self, parameters=moved).problem(design)
+
         found = []
         for name in CONTINUOUS_FIELDS:
+            if name not in wanted:
+                continue
             value = float(getattr(design, name))
-            step = FIELD_STEP * value
-            try:
-                other = design.with_values(**{name: value + step})
-            except InputError:  # at the end of what is allowed or fits: step back
-                step = -step
-                other = design.with_values(**{name: value + step})
-            found.append(Direction(name, step, self.problem(other)))
-        values: dict[str, dict[str, float]] = self.__dict__["_values"]
+            at = partial(of_field, name)
+            found.append(_direction(name, value, FIELD_STEP * value, at))
         for one in self.active:
             for parameter in one.parameters:
+                if f"{one.name}.{parameter.name}" not in wanted:
+                    continue
                 value = values[one.name][parameter.name]
                 step = PARAMETER_STEP * (parameter.upper - parameter.lower)
-                step = step if value + step <= parameter.upper else -step
-                moved = {
-                    **values,
-                    one.name: {**values[one.name], parameter.name: value + step},
-                }
-                other_model = replace(self, parameters=moved)
                 name = f"{one.name}.{parameter.name}"
-                found.append(Direction(name, step, other_model.problem(design)))
+                at = partial(of_parameter, one.name, parameter.name)
+                found.append(_direction(name, value, step, at))
         return found
+
+    def _directions(
+        self, design: Design, sensitivities: bool | Sequence[str]
+    ) -> list[Direction]:
+        if isinstance(sensitivities, bool):
+            return self.directions(design) if sensitivities else []
+        return self.directions(design, sensitivities)
 
     def __call__(
         self,
         designs: Sequence[Design],
         paths: Sequence[Path],
-        sensitivities: bool = False,
+        sensitivities: bool | Sequence[str] = False,
     ) -> Response:
         """Solve each design along its own path.
 
@@ -171,9 +202,9 @@ class Model:
         ----------
         designs, paths : sequences of equal length n
             Paths may have different numbers of load steps; NaN pads the result.
-        sensitivities : bool
+        sensitivities : bool or sequence of str
             Differentiate every value by the design's continuous fields and the active
-            effects' parameters.
+            effects' parameters, or by those named.
 
         Returns
         -------
@@ -188,7 +219,7 @@ class Model:
                     self.problem(design),
                     path,
                     self._workspace,
-                    directions=self.directions(design) if sensitivities else (),
+                    directions=self._directions(design, sensitivities),
                 )
                 for design, path in zip(designs, paths, strict=True)
             ]
@@ -290,6 +321,16 @@ class Model:
             float(body.bulk_modulus[0]),
             time,
         )
+
+
+def _direction(
+    name: str, value: float, step: float, problem_at: Callable[[float], Problem]
+) -> Direction:
+    """A step ahead, or back at the end of what is allowed or fits."""
+    try:
+        return Direction(name, step, problem_at(value + step))
+    except InputError:
+        return Direction(name, -step, problem_at(value - step))
 
 
 def stack(responses: Sequence[Response]) -> Response:
