@@ -6,9 +6,9 @@ made as a `Body`, so that the effects that act on a device's material act on the
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -233,7 +233,7 @@ def solve_bulge(
         Of one specimen; its only output is ``inflation``, m, counted from the flat
         membrane and averaged over the thickness at the hole's centre.
     """
-    began = clock.perf_counter()
+    began = perf_counter()
     info: dict[str, object] = {}
     limit = np.nan
     try:
@@ -244,7 +244,7 @@ def solve_bulge(
     else:
         info = {
             "unknowns": follower.equations.unknowns,
-            "seconds": clock.perf_counter() - began,
+            "seconds": perf_counter() - began,
             **asdict(follower.counters),
         }
         if follower.limit is not None:
@@ -327,7 +327,9 @@ def tensile_stress(
         return _stress(
             law, shear_modulus, stretch, mode, bulk_modulus, np.zeros((steps, 0)), 1.0
         )[0]
-    duration = np.ones(steps) if time is None else np.diff(time, prepend=time[0] - 1.0)
+    # As a path's: the test begins at 0 s, or a second before a first reading at 0 s.
+    clock = np.arange(1.0, steps + 1) if time is None else np.asarray(time, dtype=float)
+    duration = np.diff(clock, prepend=min(0.0, clock[0] - 1.0))
     history, stress = np.zeros((1, law.history_size)), np.empty(steps)
     for i in range(steps):
         here, history = _stress(

@@ -151,17 +151,25 @@ def decode(path: Path, data: bytes) -> tuple[str, list[str]]:
     return text, odd
 
 
-def lines_of(text: str, separator: str) -> Iterator[tuple[int, list[str]]]:
+def lines_of(path: Path, text: str, separator: str) -> Iterator[tuple[int, list[str]]]:
     """Numbers and stripped fields of the lines that are not empty."""
-    # A quotation mark that is never closed takes in the rest of the file.
-    csv.field_size_limit(max(len(text), 131_072))
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     before = 0
-    for fields in reader:
-        number, before = before + 1, reader.line_num
-        stripped = [one.strip() for one in fields]
-        if any(stripped):
-            yield number, stripped
+    try:
+        for fields in reader:
+            number, lines, before = (
+                before + 1,
+                reader.line_num - before,
+                reader.line_num,
+            )
+            if lines > 1:
+                words = 'a field runs over several lines: a " is not closed'
+                raise FileError(f"{path}:{number}", words)
+            stripped = [one.strip() for one in fields]
+            if any(stripped):
+                yield number, stripped
+    except csv.Error as error:
+        raise FileError(f"{path}:{before + 1}", f"not CSV: {error}") from error
 
 
 def _known(heading: str) -> bool:
@@ -228,7 +236,7 @@ def read_table(path: Path, data: bytes) -> Table:
             )
     complaints.settle()
     rows = []
-    for number, texts in lines_of(text, separator):
+    for number, texts in lines_of(path, text, separator):
         if number <= top:
             continue
         here = f"{path}:{number}"
@@ -242,10 +250,8 @@ def read_table(path: Path, data: bytes) -> Table:
             )
             continue
         own = {n: t for n, t in zip(fields, texts, strict=False) if n and t}
-        if any("\n" in one or "\r" in one for one in texts):
-            complaints.add(here, 'a field runs over several lines: a " is not closed')
-        for heading, field_name, one in zip(headings, fields, texts, strict=False):
-            if field_name is None and not heading and one:
+        for heading, known, one in zip(headings, fields, texts, strict=False):
+            if known is None and not heading and one:
                 complaints.add(here, f"{one!r} stands in a column without a heading")
         rows.append(Row(here, own))
     complaints.settle()

@@ -61,13 +61,13 @@ _USUAL = {"specimen": "actuator", "run": 1, "orientation": 0.0, "branch": LOADIN
 
 
 def _text(field: str, value: float | str) -> str:
-    """A field in bench units, with every digit that it has."""
+    """A field in bench units, to 15 digits."""
     if isinstance(value, str):
         return value
     column = NUMBERS[field]
     if column.whole:
         return str(int(value))
-    return repr(float(column.bench.from_si(value)))
+    return f"{column.bench.from_si(value):.15g}"  # 0.11, not 0.11000000000000001
 
 
 def measurements_text(measurements: Measurements) -> str:

@@ -27,6 +27,7 @@ from datagen.problem import lame
 from datagen.response import Path
 from datagen.specimens import (
     MODES,
+    SPECIMEN_STAGES,
     Bulge,
     Tensile,
     bulge_body,
@@ -186,9 +187,12 @@ def test_history_is_handed_on() -> None:
     elastic = tensile_stress(Hyperelastic(), 1.0, stretch)
     by_step = tensile_stress(law, 1.0, stretch)
     assert by_step == pytest.approx(elastic * np.exp([-1.0, -2.0, -3.0]))
-    times = np.array([1.0, 1.5, 4.0])
+    times = np.array([0.5, 1.5, 4.0])
+    ages = [1.0, 2.0, 4.5]  # it began at -0.5 s: the first step takes a second at least
     by_time = tensile_stress(law, 1.0, stretch, time=times)
-    assert by_time == pytest.approx(elastic * np.exp(-times))
+    assert by_time == pytest.approx(elastic * np.exp(-np.array(ages)))
+    late = tensile_stress(law, 1.0, stretch, time=times + 2)
+    assert late == pytest.approx(elastic * np.exp(-(times + 2)))
 
 
 @pytest.mark.parametrize(
@@ -301,6 +305,24 @@ def test_material_effects_act_on_tension(effects_dir: FilePath) -> None:
     other_layer = model.tensile(Tensile(2e6, "planar", "lower"), stretch)
     plain = Model(level="draft").tensile(Tensile(2e6, "planar"), stretch)
     assert (other_layer == plain).all()
+
+
+OF_MATERIAL = [one for one in catalogue().values() if one.stage in SPECIMEN_STAGES]
+
+
+@pytest.mark.parametrize("effect", OF_MATERIAL, ids=lambda one: one.name)
+def test_every_effect_of_material_or_load_acts_on_specimens(effect: Effect) -> None:
+    """All change a membrane; those of the material change tension, too."""
+    values = {p.name: (p.upper + float(p.off or 0)) / 2 for p in effect.parameters}
+    body = bulge_body(Bulge(4e-3, 1e-3, 95e-6, 2.5e6), mesh_level("draft"))
+    changed = with_effects(body, [(effect, values)])
+    assert changed is not body
+    stretch = np.array([1.5, 2.0, 1.5])
+    model = Model((effect.name,), "draft", {effect.name: values})
+    found = model.tensile(Tensile(2e6), stretch)
+    plain = Model(level="draft").tensile(Tensile(2e6), stretch)
+    assert np.isfinite(found).all()
+    assert (found == plain).all() == (effect.stage == "load")
 
 
 def test_an_effect_of_the_device_alone_says_so(effects_dir: FilePath) -> None:
