@@ -200,6 +200,10 @@ class Hyperelastic:
     def history_size(self) -> int:
         return 0
 
+    def stored(self, f: Array, mu: Array) -> Array:
+        """Isochoric energy density (n,), J/m3, at deformation gradients (n, 9)."""
+        return self.energy.derivatives(*invariants(f), mu).w
+
     def respond(
         self, f: Array, mu: Array, history: Array, dt: float, tangent: bool
     ) -> LawResult:

@@ -15,11 +15,20 @@ from .effects import Effect, catalogue
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
 from .mesh import mesh_level
-from .problem import STAGES, Problem, baseline
+from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
 from .sensitivity import Direction
 from .solver import solve
 from .space import Space
+from .specimens import (
+    Bulge,
+    Tensile,
+    bulge_body,
+    solve_bulge,
+    tensile_body,
+    tensile_stress,
+    with_effects,
+)
 
 Array = np.ndarray
 
@@ -122,11 +131,31 @@ class Model:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
 
-    def directions(self, design: Design) -> list[Direction]:
+    def directions(
+        self, design: Design, wanted: Sequence[str] | None = None
+    ) -> list[Direction]:
         """Each continuous design field and active effect's parameter, a step ahead.
 
         The other fields stay: with a longer balloon the tip margin is shorter.
+
+        Parameters
+        ----------
+        design : Design
+        wanted : sequence of str, optional
+            Names of the fields and ``effect.parameter`` to differentiate by; all by
+            default.
+
+        Raises
+        ------
+        InputError
+            When a name is unknown.
         """
+        known = [*CONTINUOUS_FIELDS]
+        known += [f"{one.name}.{p.name}" for one in self.active for p in one.parameters]
+        wanted = known if wanted is None else wanted
+        for name in wanted:
+            if name not in known:
+                raise InputError("sensitivities", name, ", ".join(known))
         values: dict[str, dict[str, float]] = self.__dict__["_values"]
 
         def of_field(name: str, value: float) -> Problem:
@@ -138,11 +167,15 @@ class Model:
 
         found = []
         for name in CONTINUOUS_FIELDS:
+            if name not in wanted:
+                continue
             value = float(getattr(design, name))
             at = partial(of_field, name)
             found.append(_direction(name, value, FIELD_STEP * value, at))
         for one in self.active:
             for parameter in one.parameters:
+                if f"{one.name}.{parameter.name}" not in wanted:
+                    continue
                 value = values[one.name][parameter.name]
                 step = PARAMETER_STEP * (parameter.upper - parameter.lower)
                 name = f"{one.name}.{parameter.name}"
@@ -150,11 +183,18 @@ class Model:
                 found.append(_direction(name, value, step, at))
         return found
 
+    def _directions(
+        self, design: Design, sensitivities: bool | Sequence[str]
+    ) -> list[Direction]:
+        if isinstance(sensitivities, bool):
+            return self.directions(design) if sensitivities else []
+        return self.directions(design, sensitivities)
+
     def __call__(
         self,
         designs: Sequence[Design],
         paths: Sequence[Path],
-        sensitivities: bool = False,
+        sensitivities: bool | Sequence[str] = False,
     ) -> Response:
         """Solve each design along its own path.
 
@@ -162,9 +202,9 @@ class Model:
         ----------
         designs, paths : sequences of equal length n
             Paths may have different numbers of load steps; NaN pads the result.
-        sensitivities : bool
+        sensitivities : bool or sequence of str
             Differentiate every value by the design's continuous fields and the active
-            effects' parameters.
+            effects' parameters, or by those named.
 
         Returns
         -------
@@ -179,7 +219,7 @@ class Model:
                     self.problem(design),
                     path,
                     self._workspace,
-                    directions=self.directions(design) if sensitivities else (),
+                    directions=self._directions(design, sensitivities),
                 )
                 for design, path in zip(designs, paths, strict=True)
             ]
@@ -238,6 +278,49 @@ class Model:
                 "pressure_kPa", pressure / 1e3, f"less: {outcome.message}", "kPa"
             )
         return problem, follower.point.x
+
+    def _with_effects(self, body: Body) -> Body:
+        values = self.__dict__["_values"]
+        return with_effects(body, [(one, values[one.name]) for one in self.active])
+
+    def bulge(self, specimen: Bulge, path: Path) -> Response:
+        """Deflection of a membrane over a hole, with the active effects that act on it.
+
+        Parameters
+        ----------
+        specimen : Bulge
+        path : Path
+
+        Returns
+        -------
+        Response
+            Of one specimen, see `specimens.solve_bulge`.
+        """
+        body = self._with_effects(bulge_body(specimen, mesh_level(self.level)))
+        return solve_bulge(body, path, self._workspace)
+
+    def tensile(
+        self, specimen: Tensile, stretch: Array, time: Array | None = None
+    ) -> Array:
+        """Nominal stress (s,), Pa, with the active effects that act on a specimen.
+
+        Parameters
+        ----------
+        specimen : Tensile
+        stretch : (s,) array
+            In the order in which it is applied.
+        time : (s,) array, s, optional
+            Of each stretch, for laws with history.
+        """
+        body = self._with_effects(tensile_body(specimen))
+        return tensile_stress(
+            body.laws[int(body.mesh.layer[0])],
+            float(body.shear_modulus[0]),
+            stretch,
+            specimen.mode,
+            float(body.bulk_modulus[0]),
+            time,
+        )
 
 
 def _direction(
