@@ -41,7 +41,7 @@ CONTINUOUS_FIELDS = tuple(
 )
 """Fields of a design that outputs can be differentiated by."""
 
-FIELD_STEP, PARAMETER_STEP = 1e-5, 1e-6
+FIELD_STEP, PARAMETER_STEP = 1e-5, 3e-6
 """Of a design field over its value, of an effect's parameter over its range."""
 
 EXPLORED_STEPS = 8
