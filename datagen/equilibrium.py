@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from . import elements as el
+from . import surfaces
 from .linear import Solver, default_backend, make_solver
 from .mesh import LOWER, UPPER, reference
 from .problem import Body
@@ -141,6 +142,11 @@ class Pattern:
     of_cells: Array
     of_faces: Array
 
+    def of_more(self, faces: Array) -> Array:
+        """Positions for faces (f, 9) of elements that bear no pressure."""
+        where: Array = _positions(faces, self.number, self.indptr, self.indices)
+        return where
+
 
 def make_pattern(cells: Array, faces: Array, fixed: Array) -> Pattern:
     """Pattern of elements and cavity faces with some displacements held."""
@@ -240,6 +246,12 @@ class Equilibrium:
             np.zeros((int(points.sum()), law.history_size))
             for points, law in zip(self._points, problem.laws, strict=True)
         )
+        of_more = self.pattern.of_more
+        self._springs = [
+            (one.faces, one.matrices(problem.nodes), of_more(one.faces))
+            for one in problem.springs
+        ]
+        self._skins = [(one, of_more(one.faces)) for one in problem.skins]
         self._one_law = problem.laws[0] == problem.laws[1] and not any(
             law.history_size for law in problem.laws
         )
@@ -337,6 +349,11 @@ class Equilibrium:
         force, element_pressure = el.internal_force(
             f, stress, bulk, self.problem.local_share, len(x), mesh.cells, *arrays
         )
+        for faces, matrices, _ in self._springs:
+            surfaces.add_matrix_force(force, x - self.problem.nodes, faces, matrices)
+        stiff = [
+            one.respond(self.problem.nodes, x, force, tangent) for one, _ in self._skins
+        ]
         volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
         normal = self.restrict(gradient)
         residual = self.restrict(force) - pressure * normal - self._body
@@ -364,6 +381,10 @@ class Equilibrium:
                 self._tensor,
                 pressure,
             )
+            for _, matrices, spots in self._springs:
+                surfaces.add_matrices(values, spots, matrices)
+            for matrices, (_, spots) in zip(stiff, self._skins, strict=True):
+                surfaces.add_matrices(values, spots, matrices)
         return Evaluation(residual, volume, normal, values, history)
 
     def volume(self, x: Array) -> float:

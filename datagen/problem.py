@@ -6,10 +6,10 @@ Stages are applied in the order of `STAGES`, each to its own fields:
 stage           fields
 ==============  ==========================================================
 geometry        nodes
-material        laws, shear_modulus, bulk_modulus
+material        laws, shear_modulus, bulk_modulus, skins
 initial strain  growth
 body force      density, gravity
-boundary        fixed
+boundary        fixed, springs
 load            pressure_gain, pressure_offset
 observation     observers
 ==============  ==========================================================
@@ -26,6 +26,7 @@ from .device import POISSON, Design
 from .elements import LOCAL_SHARE
 from .materials import Hyperelastic, Law
 from .mesh import UPPER, Mesh, MeshLevel, StripMesh, build_mesh
+from .surfaces import Skin, Springs
 
 Array = np.ndarray
 
@@ -73,6 +74,10 @@ class Body:
     local_share : float
         Of the volumetric energy that is not projected, see `elements.LOCAL_SHARE`;
         1 gives elements of displacements alone.
+    springs : tuple of Springs
+        Elastic supports.
+    skins : tuple of Skin
+        Thin stiff layers on faces of elements.
     """
 
     mesh: Mesh
@@ -89,6 +94,8 @@ class Body:
     pressure_offset: float = 0.0
     forces: Array | None = None
     local_share: float = LOCAL_SHARE
+    springs: tuple[Springs, ...] = ()
+    skins: tuple[Skin, ...] = ()
 
     @property
     def loaded_at_rest(self) -> bool:
@@ -105,7 +112,7 @@ class Problem(Body):
     Parameters
     ----------
     mesh, thin, nodes, laws, shear_modulus, bulk_modulus, growth, density, gravity,
-    fixed, pressure_gain, pressure_offset, forces, local_share
+    fixed, pressure_gain, pressure_offset, forces, local_share, springs, skins
         See `Body`.
     design : Design
         What the problem was made from.
