@@ -1,4 +1,4 @@
-"""Elastic supports and the grip that yields."""
+"""Elastic supports, skins, and the effects made of them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 from datagen.bricks import Brick, brick, closed
 from datagen.continuation import PathFollower
 from datagen.device import named_device
+from datagen.effects.plasma_skin import bond_faces
 from datagen.effects.self_weight import GRAVITY
 from datagen.errors import EffectError
 from datagen.materials import Hyperelastic
@@ -15,7 +16,7 @@ from datagen.mesh import reference
 from datagen.model import Model
 from datagen.problem import Body
 from datagen.response import Path
-from datagen.surfaces import Springs
+from datagen.surfaces import Skin, Springs
 
 Array = np.ndarray
 KPA, UM = 1e3, 1e-6
@@ -104,6 +105,132 @@ def test_an_inclined_face_feels_its_own_normal() -> None:
     total = matrices.reshape(3, 9, 3, 9).sum(axis=(1, 3))
     assert np.allclose(total, 6.0 * turn @ np.diag([2.0, 2.0, 7.0]) @ turn.T)
     assert np.allclose(matrices, matrices.swapaxes(1, 2))
+
+
+# -- skins -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def curved() -> tuple[Skin, Array, Array]:
+    """A skin on two sides of a bent brick, and its nodes before and after."""
+
+    def place(r: Array, s: Array, t: Array) -> tuple[Array, Array, Array]:
+        return r * np.cos(s), r * np.sin(s), t + 0.1 * r * s
+
+    part = brick(np.array([1.0, 1.4]), np.array([0.0, 0.6]), np.array([0, 0.5]), place)
+    faces = np.concatenate([part.sides[0, 0], part.sides[2, 1]])
+    moved = 0.05 * np.random.default_rng(2).normal(size=part.nodes.shape)
+    return Skin(faces, 3.0), part.nodes, part.nodes * [1.3, 0.9, 1.1] + moved
+
+
+def test_forces_of_a_skin_are_derivatives_of_its_energy(
+    curved: tuple[Skin, Array, Array],
+) -> None:
+    skin, nodes, x = curved
+    force = np.zeros_like(x)
+    skin.respond(nodes, x, force, False)
+    assert skin.energy(nodes, nodes) == pytest.approx(0.0, abs=1e-15)
+    for node in np.unique(skin.faces):
+        for i in range(3):
+            step = np.zeros_like(x)
+            step[node, i] = 1e-6
+            rise = skin.energy(nodes, x + step) - skin.energy(nodes, x - step)
+            assert force[node, i] == pytest.approx(rise / 2e-6, abs=2e-9)
+
+
+def test_matrices_of_a_skin_are_derivatives_of_its_forces(
+    curved: tuple[Skin, Array, Array],
+) -> None:
+    skin, nodes, x = curved
+    matrices = skin.respond(nodes, x, np.zeros_like(x), True)
+    full = np.zeros((x.size, x.size))
+    for face, matrix in zip(skin.faces, matrices, strict=True):
+        where = (3 * face[None, :] + np.arange(3)[:, None]).ravel()
+        full[np.ix_(where, where)] += matrix
+    for column in range(0, x.size, 5):
+        step = np.zeros(x.size)
+        step[column] = 1e-6
+        forces = []
+        for side in (1, -1):
+            forces.append(np.zeros_like(x))
+            skin.respond(nodes, x + side * step.reshape(-1, 3), forces[-1], False)
+        slope = (forces[0] - forces[1]).ravel() / 2e-6
+        assert np.allclose(full[:, column], slope, atol=2e-8)
+
+
+def test_skins_of_a_drawn_plate_are_more_of_its_thickness() -> None:
+    """Nominal force (E (H + 2 h) / 3) (l - l^-2) of an incompressible plate.
+
+    The plate is 1 by 2 by 0.2, of modulus 3, its skins are worth 0.15 on each side.
+    """
+    part = brick(np.linspace(0, 1, 3), np.array([0, 1.0, 2]), np.array([0, 0.2]))
+    nodes, stretch, bulk = part.nodes, 1.6, 1e4
+    skins = tuple(Skin(part.sides[2, side], 3 * 0.15) for side in (0, 1))
+    rollers = np.stack([np.isclose(nodes[:, axis], 0) for axis in range(3)], axis=1)
+    forces = np.zeros(nodes.shape)
+    # Per unit of width and of l - l^-2; the skins' parts go to their own lines of
+    # nodes at the plate's end, the plate's by Simpson's rule over its thickness.
+    lines = {0.0: 0.15 + 0.1 / 3, 0.1: 0.4 / 3, 0.2: 0.15 + 0.1 / 3}
+    for height, carried in lines.items():
+        for place, weight in zip((0, 0.5, 1, 1.5, 2), (1, 4, 2, 4, 1), strict=True):
+            at_end = np.isclose(nodes, [1.0, place, height]).all(axis=1)
+            assert at_end.sum() == 1
+            forces[at_end, 0] = (stretch - stretch**-2) * carried * weight / 6
+    whole = 2 * (0.2 + 2 * 0.15) * (stretch - stretch**-2)
+    assert forces[:, 0].sum() == pytest.approx(whole)
+    count = len(part.cells)
+    follower = PathFollower(
+        Body(
+            mesh=closed(part, np.zeros((0, 9), dtype=np.int64)),
+            thin=0.2,
+            nodes=nodes,
+            laws=(Hyperelastic(), Hyperelastic()),
+            shear_modulus=np.ones(count),
+            bulk_modulus=np.full(count, bulk),
+            growth=None,
+            density=np.zeros(count),
+            gravity=np.zeros(3),
+            fixed=rollers,
+            forces=forces,
+            skins=skins,
+        )
+    )
+    wanted = nodes * [stretch, stretch**-0.5, stretch**-0.5]
+    assert np.allclose(follower.point.x, wanted, atol=2e-4)
+
+
+# -- the skin of a device --------------------------------------------------------------
+
+
+def skinned(stiffness: float) -> Array:
+    effects = {"plasma_skin": {"stiffness": stiffness}}
+    model = Model(tuple(effects), "draft", effects)
+    response = model([named_device()], [Path(np.array([20.0, 40.0]) * KPA)])
+    assert response.path_status == ("completed",), response.message
+    found: Array = response.values[0]
+    return found
+
+
+def test_a_skin_makes_the_roof_stiffer_in_proportion() -> None:
+    bare, little, more, much = (skinned(k)[:, 2] for k in (0.0, 0.05, 0.1, 40.0))
+    assert ((bare - more) / (bare - little)) == pytest.approx(2.0, rel=0.02)
+    # 40 N/m beside the roof's 237 N/m; as a roof of that much more tension.
+    assert (much < 0.97 * bare).all()
+    assert (much > 0.85 * bare).all()
+
+
+def test_the_bond_is_where_the_layers_meet_outside_the_cavities() -> None:
+    problem = Model(level="draft").problem(named_device("D8-2x2"))
+    bond = bond_faces(problem)
+    centre = problem.nodes[bond[:, 4]]
+    roof = problem.design.lower_thickness + problem.design.cavity_height
+    assert centre[:, 2] == pytest.approx(roof)
+    corners = problem.nodes[bond][:, [0, 2, 6, 8]]
+    sides = np.ptp(corners, axis=1)
+    design = problem.design
+    balloons = design.balloon_length * design.balloon_width
+    wanted = (design.length * design.width - balloons) / 2
+    assert np.prod(sides[:, :2], axis=1).sum() == pytest.approx(wanted)
 
 
 # -- the grip of a device --------------------------------------------------------------
