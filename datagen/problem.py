@@ -10,7 +10,7 @@ material        laws, shear_modulus, bulk_modulus, skins
 initial strain  growth
 body force      density, gravity
 boundary        fixed, springs
-load            pressure_gain, pressure_offset
+load            pressure_gain, pressure_offset, gas
 observation     observers
 ==============  ==========================================================
 """
@@ -78,6 +78,9 @@ class Body:
         Elastic supports.
     skins : tuple of Skin
         Thin stiff layers on faces of elements.
+    gas : (e,) array or None
+        Share of each element that is filled with gas at the pressure of the cavities;
+        its moduli and density are those of what is left of the solid.
     """
 
     mesh: Mesh
@@ -96,6 +99,7 @@ class Body:
     local_share: float = LOCAL_SHARE
     springs: tuple[Springs, ...] = ()
     skins: tuple[Skin, ...] = ()
+    gas: Array | None = None
 
     @property
     def loaded_at_rest(self) -> bool:
@@ -112,7 +116,8 @@ class Problem(Body):
     Parameters
     ----------
     mesh, thin, nodes, laws, shear_modulus, bulk_modulus, growth, density, gravity,
-    fixed, pressure_gain, pressure_offset, forces, local_share, springs, skins
+    fixed, pressure_gain, pressure_offset, forces, local_share, springs, skins,
+    gas
         See `Body`.
     design : Design
         What the problem was made from.
