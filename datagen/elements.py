@@ -108,7 +108,7 @@ def _reference_shape(
                 for i in range(3):
                     for k in range(3):
                         j[3 * i + k] += xe[a, i] * gradient[q, a, k]
-            det = _cofactor(j, c)
+            det = cofactor(j, c)
             for i in range(3):
                 for k in range(3):
                     inverse[e, q, 3 * i + k] = c[3 * k + i] / det
@@ -167,7 +167,7 @@ def deformation(x: Array, cells: Array, gradient: Array, inverse: Array) -> Arra
 
 
 @njit(cache=True, fastmath=True)
-def _cofactor(a: Array, c: Array) -> Any:
+def cofactor(a: Array, c: Array) -> Any:
     """Cofactor matrix of `a` (9,) into `c`, and the determinant."""
     c[0] = a[4] * a[8] - a[5] * a[7]
     c[1] = a[5] * a[6] - a[3] * a[8]
@@ -187,7 +187,7 @@ def smallest_determinant(f: Array) -> tuple[float, int]:
     c = np.empty(9)
     least, where = np.inf, 0
     for q in range(f.shape[0]):
-        det = _cofactor(f[q], c)
+        det = cofactor(f[q], c)
         if not det >= least:  # also true of NaN
             least, where = det, q
     return least, where
@@ -237,7 +237,7 @@ def internal_force(
     for e in range(elements):
         rhs[:] = 0.0
         for q in range(27):
-            dets[q] = _cofactor(f[27 * e + q], cof[q])
+            dets[q] = cofactor(f[27 * e + q], cof[q])
             for i in range(4):
                 rhs[i] += weight[e, q] * basis[q, i] * (dets[q] - 1.0)
         for i in range(4):
@@ -292,7 +292,7 @@ def second_stress(f: Array, stress: Array, pressure: Array) -> Array:
     cof = np.empty(9)
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     for q in range(f.shape[0]):
-        det = _cofactor(f[q], cof)
+        det = cofactor(f[q], cof)
         p = pressure[q // 27, q % 27]
         for entry in range(6):
             j, k = pairs[entry]
@@ -380,7 +380,7 @@ def add_stiffness(
                 g[1, a] = r0 * d[1] + r1 * d[4] + r2 * d[7]
                 g[2, a] = r0 * d[2] + r1 * d[5] + r2 * d[8]
             point = 27 * e + q
-            det = _cofactor(f[point], cof)
+            det = cofactor(f[point], cof)
             w = weight[e, q]
             # dP/dF plus the pressure times d2J/dF2 = (cof cof - swapped) / J
             factor = pressure[e, q] / det

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 
 from . import elements as el
+from . import surfaces
+from .gas import gas_volume
 from .linear import Solver, default_backend, make_solver
 from .mesh import LOWER, UPPER, reference
 from .problem import Body
@@ -141,6 +143,11 @@ class Pattern:
     of_cells: Array
     of_faces: Array
 
+    def of_more(self, faces: Array) -> Array:
+        """Positions for faces (f, 9) of elements that bear no pressure."""
+        where: Array = _positions(faces, self.number, self.indptr, self.indices)
+        return where
+
 
 def make_pattern(cells: Array, faces: Array, fixed: Array) -> Pattern:
     """Pattern of elements and cavity faces with some displacements held."""
@@ -240,6 +247,15 @@ class Equilibrium:
             np.zeros((int(points.sum()), law.history_size))
             for points, law in zip(self._points, problem.laws, strict=True)
         )
+        of_more = self.pattern.of_more
+        self._springs = [
+            (one.faces, one.matrices(problem.nodes), of_more(one.faces))
+            for one in problem.springs
+        ]
+        gas = np.zeros(0) if problem.gas is None else problem.gas
+        self._filled = np.nonzero(gas)[0]
+        self._gas = gas[self._filled]
+        self._skins = [(one, of_more(one.faces)) for one in problem.skins]
         self._one_law = problem.laws[0] == problem.laws[1] and not any(
             law.history_size for law in problem.laws
         )
@@ -337,7 +353,12 @@ class Equilibrium:
         force, element_pressure = el.internal_force(
             f, stress, bulk, self.problem.local_share, len(x), mesh.cells, *arrays
         )
-        volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
+        for faces, matrices, _ in self._springs:
+            surfaces.add_matrix_force(force, x - self.problem.nodes, faces, matrices)
+        stiff = [
+            one.respond(self.problem.nodes, x, force, tangent) for one, _ in self._skins
+        ]
+        volume, gradient = self._cavities(x)
         normal = self.restrict(gradient)
         residual = self.restrict(force) - pressure * normal - self._body
         values = None
@@ -345,6 +366,7 @@ class Equilibrium:
             if expected is not None:
                 at_hand = el.second_stress(f, stress, element_pressure)
                 el.replace_stress(slope, expected - at_hand)
+            element_pressure[self._filled] -= pressure * self._gas[:, None]
             values = np.zeros(len(self.pattern.indices))
             el.add_stiffness(
                 values,
@@ -364,11 +386,36 @@ class Equilibrium:
                 self._tensor,
                 pressure,
             )
+            for _, matrices, spots in self._springs:
+                surfaces.add_matrices(values, spots, matrices)
+            for matrices, (_, spots) in zip(stiff, self._skins, strict=True):
+                surfaces.add_matrices(values, spots, matrices)
         return Evaluation(residual, volume, normal, values, history)
 
     def volume(self, x: Array) -> float:
         """Volume of the cavities in the half model, m3."""
-        return el.cavity(x, self.problem.mesh.cavity_faces, self._tensor)[0]
+        return self._cavities(x)[0]
+
+    def _cavities(self, x: Array) -> tuple[float, Array]:
+        """Volume under pressure, m3, and its gradient (n, 3), m2."""
+        mesh, data, filled = self.problem.mesh, self.data, self._filled
+        volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
+        if len(filled):
+            f = el.deformation(
+                x, mesh.cells[filled], self._gradient, data.inverse[filled]
+            )
+            more, slope = gas_volume(
+                f,
+                filled,
+                self._gas,
+                len(x),
+                mesh.cells,
+                self._gradient,
+                data.inverse,
+                data.weight,
+            )
+            volume, gradient = volume + more, gradient + slope
+        return volume, gradient
 
     def stress(self, x: Array, dt: float = 1.0) -> Array:
         """Second Piola-Kirchhoff stress (27 e, 6), Pa, at the quadrature points."""

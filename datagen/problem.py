@@ -7,11 +7,11 @@ stage           fields
 ==============  ==========================================================
 geometry        nodes: the device as it was made, straight
 initial shape   nodes, datum: how it lies without any load
-material        laws, shear_modulus, bulk_modulus
+material        laws, shear_modulus, bulk_modulus, skins
 initial strain  growth
 body force      density, gravity
-boundary        fixed
-load            pressure_gain, pressure_offset
+boundary        fixed, springs
+load            pressure_gain, pressure_offset, gas
 observation     observers
 ==============  ==========================================================
 
@@ -30,6 +30,7 @@ from .device import POISSON, Design
 from .elements import LOCAL_SHARE
 from .materials import Hyperelastic, Law
 from .mesh import UPPER, Mesh, MeshLevel, StripMesh, build_mesh
+from .surfaces import Skin, Springs
 
 Array = np.ndarray
 
@@ -78,6 +79,13 @@ class Body:
     local_share : float
         Of the volumetric energy that is not projected, see `elements.LOCAL_SHARE`;
         1 gives elements of displacements alone.
+    springs : tuple of Springs
+        Elastic supports.
+    skins : tuple of Skin
+        Thin stiff layers on faces of elements.
+    gas : (e,) array or None
+        Share of each element that is filled with gas at the pressure of the cavities;
+        its moduli and density are those of what is left of the solid.
     """
 
     mesh: Mesh
@@ -94,6 +102,9 @@ class Body:
     pressure_offset: float = 0.0
     forces: Array | None = None
     local_share: float = LOCAL_SHARE
+    springs: tuple[Springs, ...] = ()
+    skins: tuple[Skin, ...] = ()
+    gas: Array | None = None
 
     @property
     def loaded_at_rest(self) -> bool:
@@ -110,7 +121,8 @@ class Problem(Body):
     Parameters
     ----------
     mesh, thin, nodes, laws, shear_modulus, bulk_modulus, growth, density, gravity,
-    fixed, pressure_gain, pressure_offset, forces, local_share
+    fixed, pressure_gain, pressure_offset, forces, local_share, springs, skins,
+    gas
         See `Body`.
     design : Design
         What the problem was made from.

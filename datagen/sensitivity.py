@@ -86,8 +86,9 @@ class Sensitivity:
                 or not (other.fixed == problem.fixed).all()
             ):
                 raise EffectError(
-                    f"{direction.name}: no derivative: it changes what is held or "
-                    "meshed"
+                    f"{direction.name}: no derivative: a step changes what is held or "
+                    "meshed; an effect that does so leaving its off value has "
+                    "derivatives at other values only"
                 )
             self._ahead.append(Equilibrium(other, workspace))
         self._read_ahead = [Instruments(one.problem) for one in directions]

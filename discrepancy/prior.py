@@ -114,7 +114,7 @@ class Prior:
         if self.density == EVEN:
             return np.asarray(np.where(inside, 0.0, -np.inf))
         mass = _log_mass(lower, upper)
-        return np.where(
+        return np.asarray(np.where(
             inside, -0.5 * t**2 - 0.5 * math.log(2 * math.pi) - mass, -np.inf
         )
 
