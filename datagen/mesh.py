@@ -87,6 +87,17 @@ LEVELS: dict[str, MeshLevel] = {
 }
 
 
+SKETCH = MeshLevel("sketch", 3, 2, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0)
+"""Below draft: not an answer, only what draft is compared with."""
+
+COARSER: dict[str, MeshLevel] = {
+    "draft": SKETCH,
+    "standard": LEVELS["draft"],
+    "fine": LEVELS["standard"],
+}
+"""The level that each one is compared with to estimate its error."""
+
+
 def mesh_level(name: str) -> MeshLevel:
     """A mesh level by name, or an `InputError` naming those there are."""
     if name not in LEVELS:
