@@ -80,8 +80,8 @@ class MeshLevel:
 LEVELS: dict[str, MeshLevel] = {
     level.name: level
     for level in (
-        MeshLevel("draft", 4, 3, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0),
-        MeshLevel("standard", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0),
+        MeshLevel("draft", 4, 3, 2, 2, 2, 1, 1, 1, 0.8, 1.0, 1.0),
+        MeshLevel("standard", 6, 4, 3, 3, 2, 1, 2, 1, 0.85, 0.9, 0.8),
         MeshLevel("fine", 8, 6, 5, 4, 4, 4, 3, 3, 0.25, 0.25, 0.6),
     )
 }

@@ -23,7 +23,7 @@ from .space import Space
 
 Array = np.ndarray
 
-GENERATOR_VERSION = "1"
+GENERATOR_VERSION = "2"
 """Changes whenever the numbers that the model gives change."""
 
 
