@@ -222,7 +222,8 @@ def page(cases: Cases, published: Cases, left_out: list[str]) -> str:
         "designs (with fewer than 19 Student's prediction bound, S1 counted, of its "
         "logarithm) of the largest ratio of error and bracket on a path; k is never "
         "less than what S1 needs, up to 60 kPa, in its four material cases. At a new "
-        f"design of that space the bound then holds at all load steps with a probability of {WANTED:.0%}.",
+        "design of that space the bound then holds at all load steps with a "
+        f"probability of {WANTED:.0%}.",
         "",
         "What that does not cover: pressures above nine tenths of a limit point, "
         "effects, designs outside the default space, and the error of the fine mesh "
