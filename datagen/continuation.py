@@ -12,6 +12,9 @@ tangent's geometric part the factorisation at the prediction serves the whole st
 (the idea is that of the mixed integration point Newton of Magisano, Leonetti and
 Garcea 2017).
 Corrector: Newton's method that keeps its factorisation while the contraction is good.
+
+Time runs with the pressure, evenly between two targets; where the pressure is held it
+passes in one step.  What a body has at rest it has had for long.
 """
 
 from __future__ import annotations
@@ -31,6 +34,12 @@ from .response import OUTPUT_NAMES
 from .sensitivity import Direction, Sensitivity
 
 Array = np.ndarray
+
+REST = 1e9
+"""Time for which a body has rested before the path begins, s: some thirty years."""
+
+TURNED = 0.3
+"""First step after the pressure has turned over the last one before, with memory."""
 
 
 class PathFollower:
@@ -61,9 +70,12 @@ class PathFollower:
         if directions:
             assert isinstance(problem, Problem), "outputs are those of a device"
             self._sensitivity = Sensitivity(problem, directions, self.workspace)
+        self._remembers = any(law.history_size for law in problem.laws) or (
+            self._sensitivity is not None and self._sensitivity.has_history
+        )
         self.counters = Counters()
         self.limit: Point | None = None
-        self._rate = 1.0  # seconds a pascal of the way to the next target
+        self._clock = self._due = 0.0  # time at the last point and at the target, s
         self._thin = problem.thin
         self._tolerance = self.options.tolerance * self._thin
         self._definite = True
@@ -80,7 +92,8 @@ class PathFollower:
         )
         self._area = float(np.linalg.norm(np.cross(one, two), axis=1).sum() / 2) or 1.0
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
-        self.point = self._differentiated(self._start(), 1.0)
+        self.point = self._differentiated(self._start(), REST)
+        self._remember(self.point, REST)
         self._last = [self.point]
         first = self.options.first_step * self._thin
         self._step = first / (_largest(self.point.direction) or 1.0)
@@ -284,14 +297,14 @@ class PathFollower:
         pressure = problem.pressure_offset
         x, share, step = problem.nodes, 0.0, 0.5
         if not problem.loaded_at_rest:
-            return self._correct(x, pressure, 1.0)
+            return self._correct(x, pressure, REST)
         known: list[tuple[float, Array]] = [(0.0, x)]
         while share < 1:
             target = min(1.0, share + step)
             eq.set_share(target)
             try:
                 guess = _extrapolate(known[-3:], target)
-                point = self._correct(guess, target * pressure, 1.0)
+                point = self._correct(guess, target * pressure, REST)
             except StepFailed:
                 self.counters.rejected += 1
                 step = (target - share) / 4
@@ -325,9 +338,14 @@ class PathFollower:
         self._step = max(moved * factor, 2 * self._smallest)
         self._before, self.point = self.point, point
         self._last = [*self._last, point][-3:]
-        self.equations.history = self._pending
         self._definite = point.negative == 0
         self.counters.steps += 1
+
+    def _remember(self, point: Point, dt: float) -> None:
+        """Let the step of duration `dt` that led to a point be part of the history."""
+        if self._sensitivity is not None:
+            self._sensitivity.keep(point, dt)
+        self.equations.history = self._pending
 
     def advance(self, pressure: float) -> bool:
         """One step towards a cavity pressure; True when it was reached.
@@ -337,6 +355,9 @@ class PathFollower:
         StepFailed
             When even the smallest step fails.
         """
+        # A memory keeps where the pressure has been: with one the pressure stays on its
+        # course in time while it can, and never goes past the target.
+        timed = self._remembers
         while True:
             here = self.point
             chart = Chart(here, self._before)
@@ -352,15 +373,22 @@ class PathFollower:
             x, predicted = chart.at(s)
             goal = pressure if hit else predicted
             try:
-                dt = self._rate * max(abs(goal - here.pressure), 1e-9)
-                plane = None if hit else (chart, s)
+                dt = self._due - self._clock
+                if not hit:
+                    whole = max(abs(pressure - here.pressure), 1e-9)
+                    dt *= min(1.0, abs(goal - here.pressure) / whole)
+                plane = None if hit or timed else (chart, s)
                 expected = self._expected_stress(chart, s)
                 point = self._correct(x, goal, dt, plane, expected)
                 if _largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
                     raise StepFailed("step_too_small", detail)
+                past = (point.pressure - pressure) * (here.pressure - pressure) < 0
+                if past and self._remembers:
+                    raise StepFailed("step_too_small", "the pressure went too far")
             except StepFailed as failure:
                 self.counters.rejected += 1
+                timed = False
                 self._step = abs(s) / 3
                 if self._critical(goal):
                     raise StepFailed("limit_point", "stability is lost") from failure
@@ -371,10 +399,48 @@ class PathFollower:
             self._length += abs(s)
             if self._wants_derivatives(hit):
                 point = self._differentiated(point, dt)
-            if self._sensitivity is not None:
-                self._sensitivity.keep(point, dt)
+            self._remember(point, dt)
+            self._clock += dt
             self._accept(point, x, abs(s))
             return hit
+
+    def _hold(self) -> None:
+        """Let time pass up to the target's at the pressure as it is.
+
+        Raises
+        ------
+        StepFailed
+        """
+        if not self._remembers:
+            return
+        old, dt = self.point, self._due - self._clock
+        point = self._correct(old.x, old.pressure, dt)
+        if self._wants_derivatives(True):
+            point = self._differentiated(point, dt)
+        self._remember(point, dt)
+        self._clock = self._due
+        # The way here was another one; its shape is still the best guess of the next.
+        self._last = [
+            replace(
+                one,
+                x=one.x + (point.x - old.x),
+                stress=one.stress + (point.stress - old.stress),
+            )
+            for one in self._last[:-1]
+        ]
+        self._before = self._last[-1] if self._last and self._before else None
+        self._last.append(point)
+        self.point = point
+        self.counters.steps += 1
+
+    def _turn(self, heading: float) -> None:
+        """Go along the path (1) or back (-1); a law with memory goes another way."""
+        if heading == self._heading:
+            return
+        self._heading, self._last = heading, [self.point]
+        if self._remembers:
+            self._before = None
+            self._step *= TURNED
 
     def _critical(self, predicted: float) -> bool:
         """True at a point where stability is lost and the path does not go on smoothly.
@@ -405,7 +471,7 @@ class PathFollower:
             s = chart.turning()
             x, pressure = chart.at(s)
             try:
-                best = self._correct(x, pressure, 1.0, (chart, s))
+                best = self._correct(x, pressure, 0.0, (chart, s))
             except StepFailed:
                 break
             if abs(best.slope) < 1e-3 * scale:
@@ -443,13 +509,18 @@ class PathFollower:
         times = np.arange(1.0, len(targets) + 1) if times is None else times
         for i, wanted in enumerate(targets):
             target = problem.pressure_gain * float(wanted) + problem.pressure_offset
+            self._clock = float(times[i - 1] if i else min(0.0, times[0] - 1.0))
+            self._due = float(times[i])
             if target == self.point.pressure:
+                try:
+                    self._hold()
+                except StepFailed as failure:
+                    words = f"{failure.detail}, held at {self._at()}"
+                    return self._end(outcome, failure.status, words)
                 outcome.keep(i, self.point)
                 continue
-            elapsed = times[i] - (times[i - 1] if i else min(0.0, times[0] - 1.0))
-            self._rate = float(elapsed) / abs(target - self.point.pressure)
             rising = (target > self.point.pressure) == (self.point.slope > 0)
-            self._heading = 1.0 if rising else -1.0
+            self._turn(1.0 if rising else -1.0)
             while True:
                 if self.counters.steps >= self.options.max_steps:
                     return self._end(

@@ -86,6 +86,11 @@ LEVELS: dict[str, MeshLevel] = {
     )
 }
 
+FORMER: dict[str, MeshLevel] = {
+    "standard-1": MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0)
+}
+"""Levels of earlier generator versions, by which their datasets are solved again."""
+
 
 SKETCH = MeshLevel("sketch", 3, 2, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0)
 """Below draft: not an answer, only what others are compared with."""
@@ -104,9 +109,9 @@ draft for standard the difference was down to a sixth of the error.
 
 def mesh_level(name: str) -> MeshLevel:
     """A mesh level by name, or an `InputError` naming those there are."""
-    if name not in LEVELS:
+    if name not in LEVELS | FORMER:
         raise InputError("level", name, ", ".join(LEVELS))
-    return LEVELS[name]
+    return (LEVELS | FORMER)[name]
 
 
 STEEPEST = 2.5

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -17,11 +17,20 @@ from .equilibrium import Workspace
 from .errors import EffectError, InputError
 from .mesh import COARSER, MeshLevel, mesh_level
 from .mesh_error import estimate
-from .problem import STAGES, Problem, baseline
+from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
 from .sensitivity import Direction
 from .solver import solve
 from .space import Space
+from .specimens import (
+    Bulge,
+    Tensile,
+    bulge_body,
+    solve_bulge,
+    tensile_body,
+    tensile_stress,
+    with_effects,
+)
 
 Array = np.ndarray
 
@@ -84,8 +93,10 @@ class Model:
         for name in self.parameters:
             if name not in self.effects:
                 raise InputError("parameters", name, "names of active effects")
+        # Within a stage by name: what is active decides, not how it was written down.
         active = sorted(
-            (known[name] for name in self.effects), key=lambda e: STAGES.index(e.stage)
+            (known[name] for name in self.effects),
+            key=lambda e: (STAGES.index(e.stage), e.name),
         )
         values = {e.name: e.check(self.parameters.get(e.name, {})) for e in active}
         object.__setattr__(self, "_active", tuple(active))
@@ -129,41 +140,70 @@ class Model:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
 
-    def directions(self, design: Design) -> list[Direction]:
+    def directions(
+        self, design: Design, wanted: Sequence[str] | None = None
+    ) -> list[Direction]:
         """Each continuous design field and active effect's parameter, a step ahead.
 
         The other fields stay: with a longer balloon the tip margin is shorter.
+
+        Parameters
+        ----------
+        design : Design
+        wanted : sequence of str, optional
+            Names of the fields and ``effect.parameter`` to differentiate by; all by
+            default.
+
+        Raises
+        ------
+        InputError
+            When a name is unknown.
         """
+        known = [*CONTINUOUS_FIELDS]
+        known += [f"{one.name}.{p.name}" for one in self.active for p in one.parameters]
+        wanted = known if wanted is None else wanted
+        for name in wanted:
+            if name not in known:
+                raise InputError("sensitivities", name, ", ".join(known))
+        values: dict[str, dict[str, float]] = self.__dict__["_values"]
+
+        def of_field(name: str, value: float) -> Problem:
+            return self.problem(design.with_values(**{name: value}))
+
+        def of_parameter(effect: str, name: str, value: float) -> Problem:
+            moved = {**values, effect: {**values[effect], name: value}}
+            return replace(self, parameters=moved).problem(design)
+
         found = []
         for name in CONTINUOUS_FIELDS:
+            if name not in wanted:
+                continue
             value = float(getattr(design, name))
-            step = FIELD_STEP * value
-            try:
-                other = design.with_values(**{name: value + step})
-            except InputError:  # at the end of what is allowed or fits: step back
-                step = -step
-                other = design.with_values(**{name: value + step})
-            found.append(Direction(name, step, self.problem(other)))
-        values: dict[str, dict[str, float]] = self.__dict__["_values"]
+            at = partial(of_field, name)
+            found.append(_direction(name, value, FIELD_STEP * value, at))
         for one in self.active:
             for parameter in one.parameters:
+                if f"{one.name}.{parameter.name}" not in wanted:
+                    continue
                 value = values[one.name][parameter.name]
                 step = PARAMETER_STEP * (parameter.upper - parameter.lower)
-                step = step if value + step <= parameter.upper else -step
-                moved = {
-                    **values,
-                    one.name: {**values[one.name], parameter.name: value + step},
-                }
-                other_model = replace(self, parameters=moved)
                 name = f"{one.name}.{parameter.name}"
-                found.append(Direction(name, step, other_model.problem(design)))
+                at = partial(of_parameter, one.name, parameter.name)
+                found.append(_direction(name, value, step, at))
         return found
+
+    def _directions(
+        self, design: Design, sensitivities: bool | Sequence[str]
+    ) -> list[Direction]:
+        if isinstance(sensitivities, bool):
+            return self.directions(design) if sensitivities else []
+        return self.directions(design, sensitivities)
 
     def __call__(
         self,
         designs: Sequence[Design],
         paths: Sequence[Path],
-        sensitivities: bool = False,
+        sensitivities: bool | Sequence[str] = False,
         mesh_error: bool = False,
     ) -> Response:
         """Solve each design along its own path.
@@ -172,9 +212,9 @@ class Model:
         ----------
         designs, paths : sequences of equal length n
             Paths may have different numbers of load steps; NaN pads the result.
-        sensitivities : bool
+        sensitivities : bool or sequence of str
             Differentiate every value by the design's continuous fields and the active
-            effects' parameters.
+            effects' parameters, or by those named.
         mesh_error : bool
             Bound the discretisation error of every value and of the limit pressure, by
             solving each path on a coarser mesh, too; see `mesh_error`.
@@ -187,18 +227,24 @@ class Model:
         """
         if len(designs) != len(paths):
             raise InputError("paths", len(paths), f"one path a design, {len(designs)}")
+        self._check_level(mesh_error)
         responses = []
         for design, path in zip(designs, paths, strict=True):
             response = solve(
                 self.problem(design),
                 path,
                 self._workspace,
-                directions=self.directions(design) if sensitivities else (),
+                directions=self._directions(design, sensitivities),
             )
             if mesh_error:
                 response = self._with_error(design, path, response)
             responses.append(response)
         return stack(responses)
+
+    def _check_level(self, mesh_error: bool) -> None:
+        """Refuse a bound that is not calibrated before anything is solved."""
+        if mesh_error and self.level not in COARSER:
+            raise InputError("mesh_error", self.level, f"levels {', '.join(COARSER)}")
 
     def _with_error(self, design: Design, path: Path, response: Response) -> Response:
         """A response of one device with its `mesh_error`."""
@@ -244,6 +290,7 @@ class Model:
             Of one device; the last step is `max_pressure` or the limit point, or what
             was reached beyond it.
         """
+        self._check_level(mesh_error)
         path = Path(np.linspace(0.0, max_pressure, EXPLORED_STEPS + 1)[1:])
         directions = self.directions(design) if sensitivities else ()
         response = solve(
@@ -272,6 +319,59 @@ class Model:
                 "pressure_kPa", pressure / 1e3, f"less: {outcome.message}", "kPa"
             )
         return problem, follower.point.x
+
+    def _with_effects(self, body: Body) -> Body:
+        values = self.__dict__["_values"]
+        return with_effects(body, [(one, values[one.name]) for one in self.active])
+
+    def bulge(self, specimen: Bulge, path: Path) -> Response:
+        """Deflection of a membrane over a hole, with the active effects that act on it.
+
+        Parameters
+        ----------
+        specimen : Bulge
+        path : Path
+
+        Returns
+        -------
+        Response
+            Of one specimen, see `specimens.solve_bulge`.
+        """
+        body = self._with_effects(bulge_body(specimen, mesh_level(self.level)))
+        return solve_bulge(body, path, self._workspace)
+
+    def tensile(
+        self, specimen: Tensile, stretch: Array, time: Array | None = None
+    ) -> Array:
+        """Nominal stress (s,), Pa, with the active effects that act on a specimen.
+
+        Parameters
+        ----------
+        specimen : Tensile
+        stretch : (s,) array
+            In the order in which it is applied.
+        time : (s,) array, s, optional
+            Of each stretch, for laws with history.
+        """
+        body = self._with_effects(tensile_body(specimen))
+        return tensile_stress(
+            body.laws[int(body.mesh.layer[0])],
+            float(body.shear_modulus[0]),
+            stretch,
+            specimen.mode,
+            float(body.bulk_modulus[0]),
+            time,
+        )
+
+
+def _direction(
+    name: str, value: float, step: float, problem_at: Callable[[float], Problem]
+) -> Direction:
+    """A step ahead, or back at the end of what is allowed or fits."""
+    try:
+        return Direction(name, step, problem_at(value + step))
+    except InputError:
+        return Direction(name, -step, problem_at(value - step))
 
 
 def stack(responses: Sequence[Response]) -> Response:

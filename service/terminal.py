@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from datagen.units import QUANTITY
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+    from rich.status import Status
 
 BARS = "▁▂▃▄▅▆▇█"
 
@@ -32,6 +34,23 @@ SHORT = {
     "cavity_volume_uL": "volume",
 }
 """Column heads; the unit follows in the next line."""
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """One JSON object on one line."""
+    from .bench import plain
+
+    print(json.dumps(plain(data), allow_nan=False), flush=True)
+
+
+def print_rich(table: Table) -> None:
+    """A table as wide as the terminal."""
+    Console().print(table)
+
+
+def waiting(words: str, quiet: bool) -> Status:
+    """A spinner on standard error while something computes."""
+    return Console(stderr=True, quiet=quiet).status(words)
 
 
 def sparkline(values: Sequence[float | None], width: int = 10) -> str:

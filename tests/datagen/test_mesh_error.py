@@ -192,3 +192,8 @@ def test_the_mesh_below_draft_is_not_offered() -> None:
     assert isinstance(COARSER["draft"], MeshLevel)
     with pytest.raises(InputError, match="draft, standard, fine"):
         mesh_level(COARSER["draft"].name)
+
+
+def test_a_former_level_has_no_bound() -> None:
+    with pytest.raises(InputError, match=r"mesh_error: 'standard-1'.*draft, standard"):
+        Model(level="standard-1")([named_device()], [PATH], mesh_error=True)
