@@ -92,6 +92,21 @@ FORMER: dict[str, MeshLevel] = {
 """Levels of earlier generator versions, by which their datasets are solved again."""
 
 
+SKETCH = MeshLevel("sketch", 3, 2, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0)
+"""Below draft: not an answer, only what others are compared with."""
+
+COARSER: dict[str, MeshLevel] = {
+    "draft": SKETCH,
+    "standard": SKETCH,
+    "fine": LEVELS["standard"],
+}
+"""The mesh that each level is compared with to estimate its error.
+
+Draft and standard differ in different places, and may agree where both are wrong: with
+draft for standard the difference was down to a sixth of the error.
+"""
+
+
 def mesh_level(name: str) -> MeshLevel:
     """A mesh level by name, or an `InputError` naming those there are."""
     if name not in LEVELS | FORMER:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -14,7 +15,8 @@ from .device import DESIGN_FIELDS, DESIGN_SPACE, LIMITS, MAX_PRESSURE, Design
 from .effects import Effect, catalogue
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
-from .mesh import mesh_level
+from .mesh import COARSER, MeshLevel, mesh_level
+from .mesh_error import estimate
 from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
 from .sensitivity import Direction
@@ -124,9 +126,16 @@ class Model:
     def _workspace(self) -> Workspace:
         return Workspace(self.backend)
 
+    @cached_property
+    def _coarser_workspace(self) -> Workspace:
+        return Workspace(self.backend)
+
     def problem(self, design: Design) -> Problem:
         """The boundary-value problem of a design with the active effects in it."""
-        problem = baseline(design, mesh_level(self.level))
+        return self._problem(design, mesh_level(self.level))
+
+    def _problem(self, design: Design, level: MeshLevel) -> Problem:
+        problem = baseline(design, level)
         for one in self.active:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
@@ -195,6 +204,7 @@ class Model:
         designs: Sequence[Design],
         paths: Sequence[Path],
         sensitivities: bool | Sequence[str] = False,
+        mesh_error: bool = False,
     ) -> Response:
         """Solve each design along its own path.
 
@@ -205,24 +215,50 @@ class Model:
         sensitivities : bool or sequence of str
             Differentiate every value by the design's continuous fields and the active
             effects' parameters, or by those named.
+        mesh_error : bool
+            Bound the discretisation error of every value and of the limit pressure, by
+            solving each path on a coarser mesh, too; see `mesh_error`.
 
         Returns
         -------
         Response
-            `info` holds ``unknowns`` (the largest) and ``seconds`` (in all).
+            `info` holds ``unknowns`` (the largest) and ``seconds`` (in all), and
+            ``mesh_error_seconds``, which come on top.
         """
         if len(designs) != len(paths):
             raise InputError("paths", len(paths), f"one path a design, {len(designs)}")
-        return stack(
-            [
-                solve(
-                    self.problem(design),
-                    path,
-                    self._workspace,
-                    directions=self._directions(design, sensitivities),
-                )
-                for design, path in zip(designs, paths, strict=True)
-            ]
+        self._check_level(mesh_error)
+        responses = []
+        for design, path in zip(designs, paths, strict=True):
+            response = solve(
+                self.problem(design),
+                path,
+                self._workspace,
+                directions=self._directions(design, sensitivities),
+            )
+            if mesh_error:
+                response = self._with_error(design, path, response)
+            responses.append(response)
+        return stack(responses)
+
+    def _check_level(self, mesh_error: bool) -> None:
+        """Refuse a bound that is not calibrated before anything is solved."""
+        if mesh_error and self.level not in COARSER:
+            raise InputError("mesh_error", self.level, f"levels {', '.join(COARSER)}")
+
+    def _with_error(self, design: Design, path: Path, response: Response) -> Response:
+        """A response of one device with its `mesh_error`."""
+        began = time.perf_counter()
+        coarser = self._problem(design, COARSER[self.level])
+        error, limit = estimate(
+            coarser, path, response, self.level, self._coarser_workspace
+        )
+        spent = {"mesh_error_seconds": time.perf_counter() - began}
+        return replace(
+            response,
+            mesh_error=error,
+            limit_pressure_error=limit,
+            info=response.info | spent,
         )
 
     def explore(
@@ -231,6 +267,7 @@ class Model:
         max_pressure: float = MAX_PRESSURE,
         sensitivities: bool = False,
         beyond: bool = False,
+        mesh_error: bool = False,
     ) -> Response:
         """Every equilibrium on the way up: even load steps, the follower's between.
 
@@ -244,6 +281,8 @@ class Model:
         beyond : bool
             Go on past a limit point until the strip has turned by 120 degrees; the
             pressure then falls along the path.
+        mesh_error : bool
+            As in a call; NaN from a limit point on.
 
         Returns
         -------
@@ -251,9 +290,10 @@ class Model:
             Of one device; the last step is `max_pressure` or the limit point, or what
             was reached beyond it.
         """
+        self._check_level(mesh_error)
         path = Path(np.linspace(0.0, max_pressure, EXPLORED_STEPS + 1)[1:])
         directions = self.directions(design) if sensitivities else ()
-        return solve(
+        response = solve(
             self.problem(design),
             path,
             self._workspace,
@@ -261,6 +301,7 @@ class Model:
             directions=directions,
             beyond=beyond,
         )
+        return self._with_error(design, path, response) if mesh_error else response
 
     def deformed(self, design: Design, pressure: float) -> tuple[Problem, Array]:
         """The problem and its (n, 3) deformed nodes, m, at one gauge pressure, Pa.
@@ -343,6 +384,17 @@ def stack(responses: Sequence[Response]) -> Response:
         return padded
 
     slopes = [pad(r.jacobian, np.nan) for r in responses if r.jacobian is not None]
+    errors = [pad(r.mesh_error, np.nan) for r in responses if r.mesh_error is not None]
+    limits = [
+        r.limit_pressure_error for r in responses if r.limit_pressure_error is not None
+    ]
+    info = {
+        "unknowns": max(r.info.get("unknowns", 0) for r in responses),
+        "seconds": sum(r.info.get("seconds", 0.0) for r in responses),
+    }
+    if errors:
+        spent = (r.info.get("mesh_error_seconds", 0.0) for r in responses)
+        info["mesh_error_seconds"] = sum(spent)
     return Response(
         outputs=responses[0].outputs,
         pressure=np.concatenate([pad(r.pressure, np.nan) for r in responses]),
@@ -354,8 +406,7 @@ def stack(responses: Sequence[Response]) -> Response:
         message=tuple(m for r in responses for m in r.message),
         parameters=responses[0].parameters,
         jacobian=np.concatenate(slopes) if slopes else None,
-        info={
-            "unknowns": max(r.info.get("unknowns", 0) for r in responses),
-            "seconds": sum(r.info.get("seconds", 0.0) for r in responses),
-        },
+        mesh_error=np.concatenate(errors) if errors else None,
+        limit_pressure_error=np.concatenate(limits) if limits else None,
+        info=info,
     )

@@ -89,6 +89,13 @@ def solve(
             "turns before, on past its limit point.",
         ),
     ] = False,
+    mesh_error: Annotated[
+        bool,
+        Option(
+            "--mesh-error/--no-mesh-error",
+            help="Bound the discretisation error, by a coarser mesh.",
+        ),
+    ] = True,
     as_json: AsJson = False,
 ) -> None:
     """One path by finite elements."""
@@ -111,6 +118,7 @@ def solve(
             pressure,
             sensitivities=sensitivities,
             beyond=beyond,
+            mesh_error=mesh_error,
         )
     lists = answer.to_solution() | {"level": level, "effects": parameters}
     if not as_json:
@@ -390,6 +398,8 @@ def _show_path(lists: Mapping[str, Any]) -> None:
 
     print_rich(path_table(lists))
     print(verdict(lists))
+    if lists["mesh_error"]:
+        print("± bounds the discretisation error, in at least 90 % of cases.")
 
 
 def _complain(message: str) -> None:
