@@ -29,7 +29,7 @@ from .prior import NORMAL, Prior
 Array = np.ndarray
 
 SAMPLES, DEFENSIVE, TAIL = 2000, 0.15, 4.0
-"""Importance samples, the share drawn from the prior, degrees of freedom of the rest."""
+"""Importance samples, share drawn from the prior, degrees of freedom of the rest."""
 
 ENOUGH, LIVE = 60.0, 400
 """Effective samples below which nested sampling decides, and its live points a

@@ -275,7 +275,7 @@ class Covariance:
         return form
 
     def coefficients(self, r: Array) -> Array:
-        """Posterior means (r + m,) of calibrations and unknown shapes, in prior units."""
+        """Posterior means (r + m,) of calibrations and unknown shapes, prior units."""
         mean: Array = cho_solve(
             (self._factor, True), self._weighted.T @ r, check_finite=False
         )

@@ -99,7 +99,8 @@ class Prior:
         origin, unit = self._line
         line = origin + unit * np.asarray(t, dtype=float)
         value: Array = np.exp(line) if self._logarithmic else line
-        return np.clip(value, self.parameter.lower, self.parameter.upper)
+        inside: Array = np.clip(value, self.parameter.lower, self.parameter.upper)
+        return inside
 
     def slope(self, t: float) -> float:
         """d value / dt at a coordinate, SI."""
@@ -114,9 +115,8 @@ class Prior:
         if self.density == EVEN:
             return np.asarray(np.where(inside, 0.0, -np.inf))
         mass = _log_mass(lower, upper)
-        return np.asarray(np.where(
-            inside, -0.5 * t**2 - 0.5 * math.log(2 * math.pi) - mass, -np.inf
-        )
+        logs = -0.5 * t**2 - 0.5 * math.log(2 * math.pi) - mass
+        return np.asarray(np.where(inside, logs, -np.inf))
 
     def sample(self, u: Array) -> Array:
         """Coordinates (...,) of numbers in (0, 1), by the inverse distribution."""

@@ -40,7 +40,7 @@ UNSEEN = 0.1
 """Largest change, in noise, of an effect that the readings cannot show."""
 
 ROUNDS, PARTNERS, PAIRS = 3, 3, 4
-"""Refinements of a contender, singles that are paired with all, pairs that are solved."""
+"""Refinements of a contender, singles paired with all others, pairs solved."""
 
 SHARES = {"nothing": 0.5, "unknown": 0.05, "single": 0.35, "pair": 0.1}
 """Prior probabilities: of nothing, of an effect without a name, of all single effects

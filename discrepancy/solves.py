@@ -233,10 +233,12 @@ def _solve_specimen(task: Solve, specimen: Bulge | Tensile) -> Solved:
         model = _model(effects, task.level, task.effects_dir)
         time = None if task.time is None else np.array(task.time)
         if isinstance(specimen, Tensile):
-            return model.tensile(specimen, np.array(task.load), time)[:, None]
+            stress: Array = model.tensile(specimen, np.array(task.load), time)
+            return stress[:, None]
         response = model.bulge(specimen, Path(np.array(task.load), time))
         status[:] = [response.path_status[0], response.message[0]]
-        return response.values[0]
+        values: Array = response.values[0]
+        return values
 
     values = run(specimen, task.effects)
     slopes, names = [], []

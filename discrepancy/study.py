@@ -193,7 +193,7 @@ class Study:
         ]
 
     def _read(self) -> None:
-        """Solve the baseline; readings beyond its reach are left out, with a warning."""
+        """Solve the baseline; readings beyond its reach are left out and told."""
         fine = self._solved([((), self.level)])[(), self.level]
         fast = self._solved([((), self.fast)])[(), self.fast]
         values, _ = self._gather((), fine)
@@ -357,13 +357,15 @@ class Study:
             parts = [*(np.asarray(b.load) for b in before), load]
             steps = sum(len(p) for p in parts)
             at = np.arange(steps - len(load), steps)
-            times = [b.time for b in before] + [curve.time]
+            times = [
+                t for t in (*(b.time for b in before), curve.time) if t is not None
+            ]
             time: tuple[float, ...] | None = None
-            if all(t is not None for t in times):
+            if len(times) == len(parts):
                 whole: list[float] = []
-                for t in times:
-                    start = whole[-1] + 1.0 - t[0] if whole and t[0] <= whole[-1] else 0
-                    whole += [float(x + start) for x in t]  # type: ignore[union-attr]
+                for t in times:  # clocks that were started anew run on
+                    late = whole[-1] + 1.0 - t[0] if whole and t[0] <= whole[-1] else 0
+                    whole += [float(x + late) for x in t]
                 time = tuple(whole)
             return tuple(float(p) for p in np.concatenate(parts)), time, at
         if (load < 0).any() or self._pulled(curve):
