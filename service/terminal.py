@@ -107,7 +107,9 @@ def _number(lists: Mapping[str, Any], name: str, i: int) -> str:
     digits = DIGITS[QUANTITY[name].unit]
     text = f"{round(value, digits) + 0:.{digits}f}"  # + 0 turns -0.0 into 0.0
     half = _half_interval(lists, name, i)
-    return text if half is None else f"{text}±{half:.2g}"
+    if half is None:
+        return text
+    return f"{text}±{half:.{1 if lists.get('mesh_error') else 2}g}"
 
 
 def _half_interval(lists: Mapping[str, Any], name: str, i: int) -> float | None:
