@@ -34,6 +34,7 @@ from .options import (
     number,
     whole,
 )
+from .rank import rank
 from .terminal import print_json, print_rich, waiting
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.add_typer(effects_app, name="effects")
+app.command()(rank)
 
 
 @app.command()
