@@ -9,7 +9,7 @@ finite elements.  What interpolation and meshes add is tested elsewhere, by sets
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -265,3 +265,37 @@ def rank(lab: Lab, readings: Readings, keep: Sequence[int] | None = None) -> Ran
     if keep is not None:
         one = one.of_devices(keep)
     return Search(one, solves=False).run()
+
+
+def unnamed_changes(lab: Lab) -> dict[str, Callable[[float, float], Array]]:
+    """Changes of the readings by effects that the catalogue has not.
+
+    Each is a function of the wanted size, in noise, and of the noise: (n,) array.
+    """
+    study = lab.study
+    r, base = study.readings, study.base
+    designs = [study.measurements.curves[c].design for c, _, _ in study.cells]
+    upper = np.array([d.upper_thickness for d in designs])  # type: ignore[union-attr]
+    width = np.array([d.balloon_width for d in designs])  # type: ignore[union-attr]
+    tip = np.array([study.kinds[g][1] == "tip_deflection" for g in r.group], dtype=bool)
+    top = np.array([np.abs(base[r.curve == c]).max() for c in r.curve])
+    shapes = {
+        # The supply line leaks more the higher the pressure.
+        "leak": -base * r.place**2 * np.where(tip, 0.3, 1.0),
+        # A skin that weakens thin layers more than thick ones, at large strain.
+        "thin_layers": top * (95e-6 / upper) ** 2 * np.maximum(r.place - 0.3, 0.0),
+        # The rim lifts where balloons are wide, and turns the tip.
+        "lifted_rim": top * (width / 1e-3) ** 3 * np.where(tip, -1.0, 0.2) * r.place,
+    }
+
+    def scaled(shape: Array) -> Callable[[float, float], Array]:
+        def change(size: float, noise: float) -> Array:
+            std = np.empty(len(base))
+            for g in np.unique(r.group):
+                std[r.group == g] = noise * np.median(top[r.group == g])
+            found: Array = shape * size / np.abs(shape / std).max()
+            return found
+
+        return change
+
+    return {name: scaled(shape) for name, shape in shapes.items()}
