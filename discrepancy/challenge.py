@@ -70,6 +70,13 @@ CLOSE, SOLVES = 0.05, 12
 RAYS = 3
 """Directions tried with each effect before it is said to move too little."""
 
+HOPELESS = 1e-3
+"""Share of the wanted change at a fifth of an effect's range that leads nowhere: even
+a fourth power would not get there."""
+
+UNSEEN = 0.02
+"""The same, over the noise: less may be what a solve stops at."""
+
 ALIKE = 0.95
 """Cosine between the changes of two effects above which they are not drawn together."""
 
@@ -457,7 +464,7 @@ class Maker:
                 units = {p.parameter.name: p.parameter.unit for p in priors}
                 planted = Planted(one.name, values, units, _significant(moved, 3))
                 return planted, values, shift
-            if moved < 1e-6 * wanted:
+            if moved < max(HOPELESS * wanted, UNSEEN):
                 raise _Unfit(
                     f"another effect: {one.name} moves none of these readings (some "
                     "effects need unloading, a repeat or divided devices)"

@@ -120,7 +120,8 @@ class Programme:
     def time(self) -> Array:
         """(runs, s) array, s, of the measured load steps; the clock is never reset."""
         run = self.hold * np.arange(1, len(self.load) + 1)
-        return run + np.arange(self.runs)[:, None] * (run[-1] + REST)
+        time: Array = run + np.arange(self.runs)[:, None] * (run[-1] + REST)
+        return time
 
     def path(self, between: Array | None = None) -> tuple[Path, Array]:
         """Load path through all runs, and where the (runs, s) measured steps are in it.
