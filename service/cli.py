@@ -20,6 +20,7 @@ from typer import Argument, Option
 
 from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
 
+from .challenge import challenge_app
 from .effects import effects_app
 from .options import (
     DEFAULT_PRESSURES,
@@ -59,6 +60,7 @@ app = typer.Typer(
 )
 app.add_typer(effects_app, name="effects")
 app.command()(rank)
+app.add_typer(challenge_app, name="challenge")
 
 
 @app.command()
