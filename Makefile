@@ -9,6 +9,7 @@ SEED      ?= 1
 LEVEL     ?= standard
 CASES     ?= 1,2,3,4
 MESHES    ?= 3
+PATHS     ?= 100
 WORKERS   ?= $(shell nproc 2>/dev/null || echo 2)
 
 BIN       := $(VENV)/bin
@@ -19,8 +20,8 @@ REFERENCE := runs/reference
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test lint format docs verification figures refinement reference \
-    bench-fem kill-test system pins clean
+.PHONY: help run test lint format docs verification figures refinement mesh-error \
+    reference bench-fem kill-test system pins clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -51,6 +52,9 @@ figures: $(TESTABLE) ## draw the pictures of the README again
 
 refinement: $(INSTALLED) ## settle the published device on refined meshes (hours)
 	OMP_NUM_THREADS=1 $(BIN)/python docs/refine.py $(CASES) $(MESHES)
+
+mesh-error: $(INSTALLED) ## calibrate the mesh error on PATHS random designs (many hours; resumes)
+	OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m docs.mesh_error $(PATHS)
 
 # Built aside and copied when complete: an interrupted run, which goes on where it
 # stopped, never leaves half a model in the package.

@@ -8,11 +8,13 @@ pressure field.  Points are the first axis everywhere: F is (n, 9), row-major.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
+
+from .errors import EffectError
 
 Array = np.ndarray
 
@@ -107,9 +109,10 @@ class Gent:
 
     def derivatives(self, i1: Array, i2: Array, mu: Array) -> EnergyDerivatives:
         s, zero = self.stiffening, np.zeros_like(i1)
-        room = 1 - s * (i1 - 3)
-        room = np.where(room > 0, room, np.nan)
-        w = mu / 2 * (-np.log(room) / s if s else i1 - 3)
+        used = s * (i1 - 3)
+        used = np.where(used < 1, used, np.nan)
+        w = mu / 2 * (-np.log1p(-used) / s if s else i1 - 3)
+        room = 1 - used
         slope = mu / 2 / room
         return EnergyDerivatives(w, slope, zero, s * slope / room, zero, zero)
 
@@ -142,21 +145,48 @@ class Yeoh:
 
 @dataclass(frozen=True)
 class MooneyRivlin:
-    """What = C1 (I1bar - 3) + C2 (I2bar - 3), 2 C1 = mu (Mooney 1940, Rivlin 1948).
+    """What = C1 (I1bar - 3) + C2 (I2bar - 3) (Mooney 1940, Rivlin 1948).
 
     Parameters
     ----------
-    second : float
-        C2/C1; 0 is the neo-Hookean law.  mu stays the modulus of the first term
-        alone: the shear modulus at small strain is mu (1 + C2/C1).
+    second, first : float
+        2 C2 / mu and 2 C1 / mu; 0 and 1 make the neo-Hookean law.  The shear modulus
+        at small strain is mu (first + second).
     """
 
     second: float = 0.0
+    first: float = 1.0
+
+    @classmethod
+    def of_ratio(cls, ratio: float) -> MooneyRivlin:
+        """C2/C1 = ratio, with mu for the shear modulus at small strain."""
+        return cls(second=ratio / (1 + ratio), first=1 / (1 + ratio))
 
     def derivatives(self, i1: Array, i2: Array, mu: Array) -> EnergyDerivatives:
-        zero, c2 = np.zeros_like(i1), self.second
+        zero, c1, c2 = np.zeros_like(i1), self.first * mu / 2, self.second * mu / 2
         return EnergyDerivatives(
-            mu / 2 * (i1 - 3 + c2 * (i2 - 3)), mu / 2, c2 * mu / 2, zero, zero, zero
+            c1 * (i1 - 3) + c2 * (i2 - 3), c1, c2, zero, zero, zero
+        )
+
+
+@dataclass(frozen=True)
+class Combined:
+    """What = W0 + sum (W_k - W0): departures from the neo-Hookean W0 add up.
+
+    Parameters
+    ----------
+    energies : tuple of Energy
+        Each with the same mu; the order does not matter but for rounding.
+    """
+
+    energies: tuple[Energy, ...]
+
+    def derivatives(self, i1: Array, i2: Array, mu: Array) -> EnergyDerivatives:
+        each = [energy.derivatives(i1, i2, mu) for energy in self.energies]
+        base = NeoHookean().derivatives(i1, i2, mu)
+        extra = len(each) - 1
+        return EnergyDerivatives(
+            *(sum(terms) - extra * b for *terms, b in zip(*each, base, strict=True))
         )
 
 
@@ -185,6 +215,34 @@ class Hyperelastic:
             d = self.energy.derivatives(*invariants(f), mu)
             stress, slope = _respond(f, d.w1, d.w2, d.w11, d.w12, d.w22, True, tangent)
         return LawResult(stress, slope, history)
+
+
+def with_energy(law: Law, energy: Energy) -> Law:
+    """A law with the departure of one more energy from the neo-Hookean in it.
+
+    Parameters
+    ----------
+    law : Law
+        `Hyperelastic`, or a dataclass around another law, in its field ``law``.
+    energy : Energy
+
+    Raises
+    ------
+    EffectError
+        When there is no hyperelastic law inside.
+    """
+    if isinstance(law, Hyperelastic):
+        if isinstance(law.energy, NeoHookean):
+            return Hyperelastic(energy)
+        known = law.energy.energies if isinstance(law.energy, Combined) else ()
+        return Hyperelastic(Combined((*(known or (law.energy,)), energy)))
+    inner = getattr(law, "law", None)
+    if inner is None or not is_dataclass(law) or isinstance(law, type):
+        raise EffectError(
+            f"law {type(law).__name__}: its strain energy cannot be changed; allowed: "
+            "Hyperelastic, or a dataclass with the law that it wraps in a field 'law'"
+        )
+    return replace(law, law=with_energy(inner, energy))
 
 
 @njit(cache=True, fastmath=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -14,16 +15,26 @@ from .device import DESIGN_FIELDS, DESIGN_SPACE, LIMITS, MAX_PRESSURE, Design
 from .effects import Effect, catalogue
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
-from .mesh import mesh_level
-from .problem import STAGES, Problem, baseline
+from .mesh import COARSER, MeshLevel, mesh_level
+from .mesh_error import estimate
+from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
 from .sensitivity import Direction
 from .solver import solve
 from .space import Space
+from .specimens import (
+    Bulge,
+    Tensile,
+    bulge_body,
+    solve_bulge,
+    tensile_body,
+    tensile_stress,
+    with_effects,
+)
 
 Array = np.ndarray
 
-GENERATOR_VERSION = "1"
+GENERATOR_VERSION = "2"
 """Changes whenever the numbers that the model gives change."""
 
 
@@ -32,7 +43,7 @@ CONTINUOUS_FIELDS = tuple(
 )
 """Fields of a design that outputs can be differentiated by."""
 
-FIELD_STEP, PARAMETER_STEP = 1e-5, 1e-6
+FIELD_STEP, PARAMETER_STEP = 1e-5, 3e-6
 """Of a design field over its value, of an effect's parameter over its range."""
 
 EXPLORED_STEPS = 8
@@ -82,8 +93,10 @@ class Model:
         for name in self.parameters:
             if name not in self.effects:
                 raise InputError("parameters", name, "names of active effects")
+        # Within a stage by name: what is active decides, not how it was written down.
         active = sorted(
-            (known[name] for name in self.effects), key=lambda e: STAGES.index(e.stage)
+            (known[name] for name in self.effects),
+            key=lambda e: (STAGES.index(e.stage), e.name),
         )
         values = {e.name: e.check(self.parameters.get(e.name, {})) for e in active}
         object.__setattr__(self, "_active", tuple(active))
@@ -113,48 +126,85 @@ class Model:
     def _workspace(self) -> Workspace:
         return Workspace(self.backend)
 
+    @cached_property
+    def _coarser_workspace(self) -> Workspace:
+        return Workspace(self.backend)
+
     def problem(self, design: Design) -> Problem:
         """The boundary-value problem of a design with the active effects in it."""
-        problem = baseline(design, mesh_level(self.level))
+        return self._problem(design, mesh_level(self.level))
+
+    def _problem(self, design: Design, level: MeshLevel) -> Problem:
+        problem = baseline(design, level)
         for one in self.active:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
 
-    def directions(self, design: Design) -> list[Direction]:
+    def directions(
+        self, design: Design, wanted: Sequence[str] | None = None
+    ) -> list[Direction]:
         """Each continuous design field and active effect's parameter, a step ahead.
 
         The other fields stay: with a longer balloon the tip margin is shorter.
+
+        Parameters
+        ----------
+        design : Design
+        wanted : sequence of str, optional
+            Names of the fields and ``effect.parameter`` to differentiate by; all by
+            default.
+
+        Raises
+        ------
+        InputError
+            When a name is unknown.
         """
+        known = [*CONTINUOUS_FIELDS]
+        known += [f"{one.name}.{p.name}" for one in self.active for p in one.parameters]
+        wanted = known if wanted is None else wanted
+        for name in wanted:
+            if name not in known:
+                raise InputError("sensitivities", name, ", ".join(known))
+        values: dict[str, dict[str, float]] = self.__dict__["_values"]
+
+        def of_field(name: str, value: float) -> Problem:
+            return self.problem(design.with_values(**{name: value}))
+
+        def of_parameter(effect: str, name: str, value: float) -> Problem:
+            moved = {**values, effect: {**values[effect], name: value}}
+            return replace(self, parameters=moved).problem(design)
+
         found = []
         for name in CONTINUOUS_FIELDS:
+            if name not in wanted:
+                continue
             value = float(getattr(design, name))
-            step = FIELD_STEP * value
-            try:
-                other = design.with_values(**{name: value + step})
-            except InputError:  # at the end of what is allowed or fits: step back
-                step = -step
-                other = design.with_values(**{name: value + step})
-            found.append(Direction(name, step, self.problem(other)))
-        values: dict[str, dict[str, float]] = self.__dict__["_values"]
+            at = partial(of_field, name)
+            found.append(_direction(name, value, FIELD_STEP * value, at))
         for one in self.active:
             for parameter in one.parameters:
+                if f"{one.name}.{parameter.name}" not in wanted:
+                    continue
                 value = values[one.name][parameter.name]
                 step = PARAMETER_STEP * (parameter.upper - parameter.lower)
-                step = step if value + step <= parameter.upper else -step
-                moved = {
-                    **values,
-                    one.name: {**values[one.name], parameter.name: value + step},
-                }
-                other_model = replace(self, parameters=moved)
                 name = f"{one.name}.{parameter.name}"
-                found.append(Direction(name, step, other_model.problem(design)))
+                at = partial(of_parameter, one.name, parameter.name)
+                found.append(_direction(name, value, step, at))
         return found
+
+    def _directions(
+        self, design: Design, sensitivities: bool | Sequence[str]
+    ) -> list[Direction]:
+        if isinstance(sensitivities, bool):
+            return self.directions(design) if sensitivities else []
+        return self.directions(design, sensitivities)
 
     def __call__(
         self,
         designs: Sequence[Design],
         paths: Sequence[Path],
-        sensitivities: bool = False,
+        sensitivities: bool | Sequence[str] = False,
+        mesh_error: bool = False,
     ) -> Response:
         """Solve each design along its own path.
 
@@ -162,27 +212,53 @@ class Model:
         ----------
         designs, paths : sequences of equal length n
             Paths may have different numbers of load steps; NaN pads the result.
-        sensitivities : bool
+        sensitivities : bool or sequence of str
             Differentiate every value by the design's continuous fields and the active
-            effects' parameters.
+            effects' parameters, or by those named.
+        mesh_error : bool
+            Bound the discretisation error of every value and of the limit pressure, by
+            solving each path on a coarser mesh, too; see `mesh_error`.
 
         Returns
         -------
         Response
-            `info` holds ``unknowns`` (the largest) and ``seconds`` (in all).
+            `info` holds ``unknowns`` (the largest) and ``seconds`` (in all), and
+            ``mesh_error_seconds``, which come on top.
         """
         if len(designs) != len(paths):
             raise InputError("paths", len(paths), f"one path a design, {len(designs)}")
-        return stack(
-            [
-                solve(
-                    self.problem(design),
-                    path,
-                    self._workspace,
-                    directions=self.directions(design) if sensitivities else (),
-                )
-                for design, path in zip(designs, paths, strict=True)
-            ]
+        self._check_level(mesh_error)
+        responses = []
+        for design, path in zip(designs, paths, strict=True):
+            response = solve(
+                self.problem(design),
+                path,
+                self._workspace,
+                directions=self._directions(design, sensitivities),
+            )
+            if mesh_error:
+                response = self._with_error(design, path, response)
+            responses.append(response)
+        return stack(responses)
+
+    def _check_level(self, mesh_error: bool) -> None:
+        """Refuse a bound that is not calibrated before anything is solved."""
+        if mesh_error and self.level not in COARSER:
+            raise InputError("mesh_error", self.level, f"levels {', '.join(COARSER)}")
+
+    def _with_error(self, design: Design, path: Path, response: Response) -> Response:
+        """A response of one device with its `mesh_error`."""
+        began = time.perf_counter()
+        coarser = self._problem(design, COARSER[self.level])
+        error, limit = estimate(
+            coarser, path, response, self.level, self._coarser_workspace
+        )
+        spent = {"mesh_error_seconds": time.perf_counter() - began}
+        return replace(
+            response,
+            mesh_error=error,
+            limit_pressure_error=limit,
+            info=response.info | spent,
         )
 
     def explore(
@@ -191,6 +267,7 @@ class Model:
         max_pressure: float = MAX_PRESSURE,
         sensitivities: bool = False,
         beyond: bool = False,
+        mesh_error: bool = False,
     ) -> Response:
         """Every equilibrium on the way up: even load steps, the follower's between.
 
@@ -204,6 +281,8 @@ class Model:
         beyond : bool
             Go on past a limit point until the strip has turned by 120 degrees; the
             pressure then falls along the path.
+        mesh_error : bool
+            As in a call; NaN from a limit point on.
 
         Returns
         -------
@@ -211,9 +290,10 @@ class Model:
             Of one device; the last step is `max_pressure` or the limit point, or what
             was reached beyond it.
         """
+        self._check_level(mesh_error)
         path = Path(np.linspace(0.0, max_pressure, EXPLORED_STEPS + 1)[1:])
         directions = self.directions(design) if sensitivities else ()
-        return solve(
+        response = solve(
             self.problem(design),
             path,
             self._workspace,
@@ -221,6 +301,7 @@ class Model:
             directions=directions,
             beyond=beyond,
         )
+        return self._with_error(design, path, response) if mesh_error else response
 
     def deformed(self, design: Design, pressure: float) -> tuple[Problem, Array]:
         """The problem and its (n, 3) deformed nodes, m, at one gauge pressure, Pa.
@@ -239,6 +320,59 @@ class Model:
             )
         return problem, follower.point.x
 
+    def _with_effects(self, body: Body) -> Body:
+        values = self.__dict__["_values"]
+        return with_effects(body, [(one, values[one.name]) for one in self.active])
+
+    def bulge(self, specimen: Bulge, path: Path) -> Response:
+        """Deflection of a membrane over a hole, with the active effects that act on it.
+
+        Parameters
+        ----------
+        specimen : Bulge
+        path : Path
+
+        Returns
+        -------
+        Response
+            Of one specimen, see `specimens.solve_bulge`.
+        """
+        body = self._with_effects(bulge_body(specimen, mesh_level(self.level)))
+        return solve_bulge(body, path, self._workspace)
+
+    def tensile(
+        self, specimen: Tensile, stretch: Array, time: Array | None = None
+    ) -> Array:
+        """Nominal stress (s,), Pa, with the active effects that act on a specimen.
+
+        Parameters
+        ----------
+        specimen : Tensile
+        stretch : (s,) array
+            In the order in which it is applied.
+        time : (s,) array, s, optional
+            Of each stretch, for laws with history.
+        """
+        body = self._with_effects(tensile_body(specimen))
+        return tensile_stress(
+            body.laws[int(body.mesh.layer[0])],
+            float(body.shear_modulus[0]),
+            stretch,
+            specimen.mode,
+            float(body.bulk_modulus[0]),
+            time,
+        )
+
+
+def _direction(
+    name: str, value: float, step: float, problem_at: Callable[[float], Problem]
+) -> Direction:
+    """A step ahead, or back at the end of what is allowed or fits."""
+    try:
+        return Direction(name, step, problem_at(value + step))
+    except InputError:
+        return Direction(name, -step, problem_at(value - step))
+
 
 def stack(responses: Sequence[Response]) -> Response:
     """One response of several devices, NaN where a path has fewer steps."""
@@ -250,6 +384,17 @@ def stack(responses: Sequence[Response]) -> Response:
         return padded
 
     slopes = [pad(r.jacobian, np.nan) for r in responses if r.jacobian is not None]
+    errors = [pad(r.mesh_error, np.nan) for r in responses if r.mesh_error is not None]
+    limits = [
+        r.limit_pressure_error for r in responses if r.limit_pressure_error is not None
+    ]
+    info = {
+        "unknowns": max(r.info.get("unknowns", 0) for r in responses),
+        "seconds": sum(r.info.get("seconds", 0.0) for r in responses),
+    }
+    if errors:
+        spent = (r.info.get("mesh_error_seconds", 0.0) for r in responses)
+        info["mesh_error_seconds"] = sum(spent)
     return Response(
         outputs=responses[0].outputs,
         pressure=np.concatenate([pad(r.pressure, np.nan) for r in responses]),
@@ -261,8 +406,7 @@ def stack(responses: Sequence[Response]) -> Response:
         message=tuple(m for r in responses for m in r.message),
         parameters=responses[0].parameters,
         jacobian=np.concatenate(slopes) if slopes else None,
-        info={
-            "unknowns": max(r.info.get("unknowns", 0) for r in responses),
-            "seconds": sum(r.info.get("seconds", 0.0) for r in responses),
-        },
+        mesh_error=np.concatenate(errors) if errors else None,
+        limit_pressure_error=np.concatenate(limits) if limits else None,
+        info=info,
     )

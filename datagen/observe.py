@@ -135,7 +135,9 @@ def _tip_angle(mesh: StripMesh, nodes: Array, x: Array, start: float) -> float:
 
 
 class Instruments:
-    """What is measured on one problem's device.
+    """What is measured on one problem's device, counted from its datum.
+
+    The change of the cavity's volume alone counts from rest, as a flow meter does.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ class Instruments:
         design = problem.design
         end = design.balloon_start + design.span_x
         self._fitted_from = end + 0.25 * (design.length - end)
-        self._at_rest = self._shape(problem.nodes)
+        self._at_rest = self._shape(problem.counted_from)
 
     def _shape(self, x: Array) -> Array:
         """Angle (rad), rise of the roof and descent of the floor (m) of some nodes."""
@@ -159,7 +161,7 @@ class Instruments:
 
         return np.array(
             [
-                _tip_angle(mesh, self.problem.nodes, x, self._fitted_from),
+                _tip_angle(mesh, self.problem.counted_from, x, self._fitted_from),
                 _rise(plane("roof_edge"), plane("roof_middle"), 1.0),
                 _rise(plane("floor_edge"), plane("floor_middle"), -1.0),
             ]
@@ -179,17 +181,17 @@ class Instruments:
         -------
         (m,) array, SI, in the order of `OUTPUT_NAMES`
         """
-        mesh, nodes = self.problem.mesh, self.problem.nodes
+        mesh, datum = self.problem.mesh, self.problem.counted_from
         angle, up, down = self._shape(x) - self._at_rest
         values = {
-            "tip_deflection": float(mesh.tip_weights @ (x - nodes)[mesh.tip, 2]),
+            "tip_deflection": float(mesh.tip_weights @ (x - datum)[mesh.tip, 2]),
             "bending_angle": float(angle),
             "inflation": float(up),
             "inflation_lower": float(down),
             "cavity_volume": 2 * volume_change,
         }
         for observer in self.problem.observers:
-            values = observer(values, nodes, x)
+            values = observer(values, datum, x)
         return np.array([values[name] for name in OUTPUT_NAMES])
 
 

@@ -5,7 +5,8 @@ Stages are applied in the order of `STAGES`, each to its own fields:
 ==============  ==========================================================
 stage           fields
 ==============  ==========================================================
-geometry        nodes
+geometry        nodes: the device as it was made, straight
+initial shape   nodes, datum: how it lies without any load
 material        laws, shear_modulus, bulk_modulus, skins
 initial strain  growth
 body force      density, gravity
@@ -13,6 +14,9 @@ boundary        fixed, springs
 load            pressure_gain, pressure_offset, gas
 observation     observers
 ==============  ==========================================================
+
+An effect that acts on the fields of two stages, as a change of temperature does on
+stiffness and growth, belongs to the later one.
 """
 
 from __future__ import annotations
@@ -32,6 +36,7 @@ Array = np.ndarray
 
 STAGES = (
     "geometry",
+    "initial shape",
     "material",
     "initial strain",
     "body force",
@@ -42,7 +47,7 @@ STAGES = (
 """The fixed order in which effects act, whatever the order they are named in."""
 
 Observer = Callable[[dict[str, float], Array, Array], dict[str, float]]
-"""(outputs by name, undeformed nodes, deformed nodes) to outputs, SI."""
+"""(outputs by name, nodes of the datum, deformed nodes) to outputs, SI."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +130,20 @@ class Problem(Body):
         With its named parts.
     observers : tuple of Observer
         What the instruments make of the outputs, applied in order.
+    datum : (n, 3) array, m, or None
+        Node positions from which the instruments count: the straight device, also
+        where the stress-free one is bent.  None where `nodes` are straight.
     """
 
     design: Design
     mesh: StripMesh
     observers: tuple[Observer, ...] = ()
+    datum: Array | None = None
+
+    @property
+    def counted_from(self) -> Array:
+        """Node positions (n, 3), m, at which every instrument reads zero."""
+        return self.nodes if self.datum is None else self.datum
 
 
 def lame(modulus: Array, poisson: float = POISSON) -> tuple[Array, Array]:

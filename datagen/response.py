@@ -119,6 +119,11 @@ class Response:
         Names of what `jacobian` differentiates by.
     jacobian : (n, s, m, k) array, SI, or None
         Derivatives of the values at fixed gauge pressure; NaN where there is no value.
+    mesh_error : (n, s, m) array, SI, or None
+        Bound of the discretisation error of every value, see `mesh_error`; NaN where
+        there is no value, and from a limit point on.
+    limit_pressure_error : (n,) array, Pa, or None
+        The same of the limit pressure; NaN where it was not met.
     """
 
     outputs: tuple[str, ...]
@@ -132,6 +137,8 @@ class Response:
     info: dict[str, Any] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     jacobian: Array | None = None
+    mesh_error: Array | None = None
+    limit_pressure_error: Array | None = None
 
     def __post_init__(self) -> None:
         n, s = self.pressure.shape
@@ -143,6 +150,11 @@ class Response:
         wanted = (n, s, m, len(self.parameters))
         if self.jacobian is not None and self.jacobian.shape != wanted:
             raise InputError("jacobian", self.jacobian.shape, f"shape {wanted}")
+        if self.mesh_error is not None and self.mesh_error.shape != (n, s, m):
+            raise InputError("mesh_error", self.mesh_error.shape, f"shape {(n, s, m)}")
+        limit = self.limit_pressure_error
+        if limit is not None and limit.shape != (n,):
+            raise InputError("limit_pressure_error", limit.shape, f"shape {(n,)}")
 
     def output(self, name: str) -> Array:
         """(n, s) array of one quantity, SI."""

@@ -26,9 +26,10 @@ from .problem import Problem
 
 Array = np.ndarray
 
-PASSES, CLOSE, NOTHING = 6, 3e-3, 1e-11
+PASSES, CLOSE, NOTHING = 6, 3e-4, 1e-11
 """Newton's iterations at a point, and the last relative correction.  Each one shrinks
-the error by a factor of ten to a hundred, so that some 1e-4 of it is left at most.
+the error by a factor of ten to a hundred, so that some 1e-5 of it is left at most:
+the tip often moves a hundredth of what the whole strip does along a parameter.
 A correction that a step ahead moves no node by `NOTHING` of the thinnest wall is that
 of a derivative that vanishes, as all by design fields do at rest."""
 

@@ -91,7 +91,8 @@ class Answer:
     outputs : tuple of m str
         SI names of the quantities.
     value, low, high : (s, m) array, SI
-        NaN where the path ended before the load step.
+        NaN where the path ended before the load step.  The interval of the finite
+        elements is the value and its `mesh_error` on both sides.
     source : str
         ``surrogate`` or ``fem``.
     in_range : bool
@@ -106,10 +107,16 @@ class Answer:
     limit_pressure : float, Pa
         NaN where it was not met.
     info : mapping
-        What the finite elements add: ``unknowns``, ``seconds``.
+        What the finite elements add: ``unknowns``, ``seconds``, and
+        ``mesh_error_seconds``, which come on top.
     parameters : tuple of k str
         Names of what `jacobian` differentiates by.
     jacobian : (s, m, k) array, SI, or None
+    mesh_error : (s, m) array, SI, or None
+        Bound of the discretisation error of the finite elements, see
+        `datagen.mesh_error`; NaN where there is none.
+    limit_pressure_error : float, Pa
+        The same of the limit pressure.
     """
 
     design: Design
@@ -129,6 +136,8 @@ class Answer:
     info: Mapping[str, Any] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     jacobian: np.ndarray | None = None
+    mesh_error: np.ndarray | None = None
+    limit_pressure_error: float = math.nan
 
     def _columns(self) -> dict[str, tuple[list[float | None], ...]]:
         """Value, low and high by bench name, in bench units."""
@@ -142,15 +151,29 @@ class Answer:
 
     def _end(self) -> dict[str, Any]:
         """How the path ended, and what it took."""
-        limit = self.limit_pressure / PRESSURE.factor
+        limit, error = numbers(
+            np.array([self.limit_pressure, self.limit_pressure_error]) / PRESSURE.factor
+        )
         return {
             "status": self.status,
             "message": self.message,
-            "limit_pressure_kPa": limit if math.isfinite(limit) else None,
+            "limit_pressure_kPa": limit,
+            "limit_pressure_error_kPa": error,
+            "mesh_error": self._mesh_error(),
             "unknowns": self.info.get("unknowns"),
             "seconds": self.info.get("seconds"),
+            "mesh_error_seconds": self.info.get("mesh_error_seconds"),
             "model_version": self.model_version,
             "design": design_columns(self.design),
+        }
+
+    def _mesh_error(self) -> dict[str, list[float | None]] | None:
+        """Bounds by bench name, in bench units."""
+        if self.mesh_error is None:
+            return None
+        return {
+            BY_FIELD[name].name: numbers(self.mesh_error[:, i] / BY_FIELD[name].factor)
+            for i, name in enumerate(self.outputs)
         }
 
     def _origin(self) -> dict[str, Any]:
@@ -255,8 +278,9 @@ def fem_answer(
     reasons: Sequence[str] = (),
     sensitivities: bool = False,
     beyond: bool = False,
+    mesh_error: bool = True,
 ) -> Answer:
-    """What the finite elements compute; the interval has no width.
+    """What the finite elements compute, with a bound of its discretisation error.
 
     Parameters
     ----------
@@ -273,9 +297,12 @@ def fem_answer(
     beyond : bool
         Up to the highest pressure at the solver's own steps and, where the path turns
         before, on past its limit point.
+    mesh_error : bool
+        Bound the discretisation error; without it the interval has no width.
     """
     start = time.perf_counter()
-    wanted = {"sensitivities": True} if sensitivities else {}
+    options = {"sensitivities": sensitivities, "mesh_error": mesh_error}
+    wanted = {name: True for name, asked in options.items() if asked}
     if beyond:
         top = float(pressure.max())
         response = model.explore(design, top, beyond=True, **wanted)  # type: ignore[attr-defined]
@@ -283,14 +310,17 @@ def fem_answer(
     else:
         response = model([design], [Path(pressure)], **wanted)
     value = response.values[0]
+    error = None if response.mesh_error is None else response.mesh_error[0]
+    half = 0.0 if error is None else error
+    limits = response.limit_pressure_error
     info = {"seconds": time.perf_counter() - start} | response.info
     return Answer(
         design,
         pressure,
         response.outputs,
         value,
-        value,
-        value,
+        value - half,
+        value + half,
         "fem",
         in_range,
         tuple(reasons),
@@ -302,4 +332,6 @@ def fem_answer(
         info,
         response.parameters,
         None if response.jacobian is None else response.jacobian[0],
+        error,
+        math.nan if limits is None else float(limits[0]),
     )

@@ -7,7 +7,6 @@ standard error.  Heavy packages are imported by the commands that need them.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -21,6 +20,7 @@ from typer import Argument, Option
 
 from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
 
+from .effects import effects_app
 from .options import (
     DEFAULT_PRESSURES,
     MANY_DESIGNS,
@@ -34,6 +34,7 @@ from .options import (
     number,
     whole,
 )
+from .terminal import print_json, print_rich, waiting
 
 if TYPE_CHECKING:
     from datagen.device import Design
@@ -55,7 +56,6 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode="rich",
 )
-effects_app = typer.Typer(help="The catalogue of effects.", no_args_is_help=True)
 app.add_typer(effects_app, name="effects")
 
 
@@ -89,6 +89,13 @@ def solve(
             "turns before, on past its limit point.",
         ),
     ] = False,
+    mesh_error: Annotated[
+        bool,
+        Option(
+            "--mesh-error/--no-mesh-error",
+            help="Bound the discretisation error, by a coarser mesh.",
+        ),
+    ] = True,
     as_json: AsJson = False,
 ) -> None:
     """One path by finite elements."""
@@ -103,7 +110,7 @@ def solve(
     from .tasks import fem_version
 
     model = Model(tuple(parameters), level, parameters, effects_dir)
-    with _waiting("finite elements", as_json):
+    with waiting("finite elements", as_json):
         answer = fem_answer(
             model,
             fem_version(level),
@@ -111,6 +118,7 @@ def solve(
             pressure,
             sensitivities=sensitivities,
             beyond=beyond,
+            mesh_error=mesh_error,
         )
     lists = answer.to_solution() | {"level": level, "effects": parameters}
     if not as_json:
@@ -118,9 +126,9 @@ def solve(
         if sensitivities:
             from .terminal import sensitivity_table
 
-            _print_rich(sensitivity_table(lists))
+            print_rich(sensitivity_table(lists))
     else:
-        _print_json(lists)
+        print_json(lists)
 
 
 @app.command()
@@ -154,12 +162,12 @@ def predict(
         from .tasks import fem_version
 
         fem = Model(level=level)
-        with _waiting("out of range: finite elements", as_json):
+        with waiting("out of range: finite elements", as_json):
             answer = fem_answer(
                 fem, fem_version(level), design, pressure, False, check.reasons
             )
     if as_json:
-        _print_json(answer.to_columns())
+        print_json(answer.to_columns())
         return
     _show_path(answer.to_columns())
     who = f"Surrogate {answer.model_version}, 90 % interval."
@@ -266,7 +274,7 @@ def generate(
         "generator_version": data.generator_version,
     }
     if as_json:
-        _print_json(report)
+        print_json(report)
         return
     words = ", ".join(f"{count} {end}" for end, count in ends.items())
     print(f"{out}: {len(data)} paths ({words}) in {duration(seconds)}.")
@@ -312,10 +320,10 @@ def train(
         "accuracy": errors,
     }
     if as_json:
-        _print_json(report)
+        print_json(report)
         return
     if errors:
-        _print_rich(next(accuracy_tables(errors)))
+        print_rich(next(accuracy_tables(errors)))
     print(f"{out}: model {ensemble.version}, {duration(seconds)}.")
 
 
@@ -336,54 +344,10 @@ def accuracy(
 
     found = measure(Ensemble.load(model), Dataset.read(dataset)).to_json()
     if as_json:
-        _print_json(found)
+        print_json(found)
         return
     for table in accuracy_tables(found):
-        _print_rich(table)
-
-
-@effects_app.command("list")
-def effects_list(effects_dir: EffectsDir = None, as_json: AsJson = False) -> None:
-    """Every effect, with its stage and parameters."""
-    from datagen.effects import catalogue
-
-    rows = [_effect(effect) for effect in catalogue(effects_dir).values()]
-    if as_json:
-        _print_json({"effects": rows})
-        return
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for head in ("effect", "stage", "parameters"):
-        table.add_column(head)
-    for row in rows:
-        names = (f"{p['name']} ({p['unit']})" for p in row["parameters"])
-        table.add_row(row["name"], row["stage"], ", ".join(names))
-    _print_rich(table)
-
-
-@effects_app.command("show")
-def effects_show(
-    name: Annotated[str, Argument(metavar="NAME")],
-    effects_dir: EffectsDir = None,
-    as_json: AsJson = False,
-) -> None:
-    """One effect: its equation, parameters, ranges and sources."""
-    from datagen.effects import catalogue
-
-    known = catalogue(effects_dir)
-    if name not in known:
-        raise InputError("effect", name, ", ".join(known))
-    row = _effect(known[name])
-    if as_json:
-        _print_json(row)
-        return
-    print(f"{row['name']} (stage: {row['stage']})\n\n{row['doc'].strip()}\n")
-    for p in row["parameters"]:
-        print(
-            f"{p['name']}: {p['lower']:g} to {p['upper']:g} {p['unit']}, "
-            f"off at {p['off']:g}, prior {p['prior']}; {p['source']}"
-        )
+        print_rich(table)
 
 
 @app.command()
@@ -429,41 +393,13 @@ def _design(device: str, case: int, settings: Sequence[str]) -> Design:
     return design_from_bench(parse_settings(settings), device, case)
 
 
-def _effect(effect: Any) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {
-        "name": effect.name,
-        "stage": effect.stage,
-        "doc": effect.doc,
-        "parameters": [asdict(parameter) for parameter in effect.parameters],
-    }
-
-
-def _waiting(words: str, quiet: bool) -> Any:
-    """A spinner on standard error while something computes."""
-    from rich.console import Console
-
-    return Console(stderr=True, quiet=quiet).status(words)
-
-
 def _show_path(lists: Mapping[str, Any]) -> None:
     from .terminal import path_table, verdict
 
-    _print_rich(path_table(lists))
+    print_rich(path_table(lists))
     print(verdict(lists))
-
-
-def _print_rich(table: Any) -> None:
-    from rich.console import Console
-
-    Console().print(table)
-
-
-def _print_json(data: Mapping[str, Any]) -> None:
-    from .bench import plain
-
-    print(json.dumps(plain(data), allow_nan=False), flush=True)
+    if lists["mesh_error"]:
+        print("± bounds the discretisation error, in at least 90 % of cases.")
 
 
 def _complain(message: str) -> None:

@@ -199,6 +199,19 @@ def _quantity(field: str) -> Any:
     )
 
 
+class MeshError(BaseModel):
+    """Bound of the discretisation error at every load step, in 90 % of cases or more.
+
+    null where the path has no value there or has turned.
+    """
+
+    tip_deflection_mm: Numbers = _quantity("tip_deflection")
+    bending_angle_deg: Numbers = _quantity("bending_angle")
+    inflation_mm: Numbers = _quantity("inflation")
+    inflation_lower_mm: Numbers = _quantity("inflation_lower")
+    cavity_volume_uL: Numbers = _quantity("cavity_volume")
+
+
 class PredictOut(BaseModel):
     """The answer, from the surrogate or from the finite elements."""
 
@@ -218,8 +231,18 @@ class PredictOut(BaseModel):
     limit_pressure_kPa: float | None = Field(
         description="where a balloon grows without bound (kPa); null if not met"
     )
+    limit_pressure_error_kPa: float | None = Field(
+        default=None, description="bound of its discretisation error (kPa)"
+    )
+    mesh_error: MeshError | None = Field(
+        default=None,
+        description="of the finite elements; half the width of their interval",
+    )
     unknowns: int | None = Field(description="of the finite elements")
     seconds: float | None = Field(description="the finite elements took (s)")
+    mesh_error_seconds: float | None = Field(
+        default=None, description="the coarser mesh took on top (s)"
+    )
     design: dict[str, int | float]
 
 

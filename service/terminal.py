@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from datagen.units import QUANTITY
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+    from rich.status import Status
 
 BARS = "▁▂▃▄▅▆▇█"
 
@@ -32,6 +34,23 @@ SHORT = {
     "cavity_volume_uL": "volume",
 }
 """Column heads; the unit follows in the next line."""
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """One JSON object on one line."""
+    from .bench import plain
+
+    print(json.dumps(plain(data), allow_nan=False), flush=True)
+
+
+def print_rich(table: Table) -> None:
+    """A table as wide as the terminal."""
+    Console().print(table)
+
+
+def waiting(words: str, quiet: bool) -> Status:
+    """A spinner on standard error while something computes."""
+    return Console(stderr=True, quiet=quiet).status(words)
 
 
 def sparkline(values: Sequence[float | None], width: int = 10) -> str:
@@ -60,6 +79,8 @@ def sparkline(values: Sequence[float | None], width: int = 10) -> str:
 def path_table(lists: Mapping[str, Any]) -> Table:
     """A path as a table: a row for each load step, with half its interval if any.
 
+    Of finite elements that is the mesh error.
+
     Parameters
     ----------
     lists : mapping
@@ -83,12 +104,21 @@ def _number(lists: Mapping[str, Any], name: str, i: int) -> str:
     value = lists[name][i]
     if value is None:
         return "-"
-    low, high = (lists.get(f"{name}_{end}") for end in ("low", "high"))
     digits = DIGITS[QUANTITY[name].unit]
     text = f"{round(value, digits) + 0:.{digits}f}"  # + 0 turns -0.0 into 0.0
-    if low is not None and high is not None and high[i] > low[i]:
-        text += f"±{(high[i] - low[i]) / 2:.2g}"
-    return text
+    half = _half_interval(lists, name, i)
+    return text if half is None else f"{text}±{half:.2g}"
+
+
+def _half_interval(lists: Mapping[str, Any], name: str, i: int) -> float | None:
+    """Of the surrogate its interval, of the finite elements their mesh error."""
+    if lists.get("mesh_error"):
+        error: float | None = lists["mesh_error"][name][i]
+        return error or None  # nothing at rest
+    low, high = (lists.get(f"{name}_{end}") for end in ("low", "high"))
+    if low is None or high is None or not high[i] > low[i]:
+        return None
+    return float(high[i] - low[i]) / 2
 
 
 def sensitivity_table(lists: Mapping[str, Any]) -> Table:
@@ -138,6 +168,8 @@ def verdict(lists: Mapping[str, Any]) -> str:
     )
     if lists["status"] != "completed":
         text += f"; then the path ends: {lists['message'] or lists['status']}"
+        if lists.get("limit_pressure_error_kPa") is not None:
+            text += f" (mesh error {lists['limit_pressure_error_kPa']:.2g} kPa)"
     if lists.get("unknowns"):
         text += f" ({lists['unknowns']} unknowns, {lists['seconds']:.1f} s)"
     return text + "."

@@ -22,7 +22,10 @@ DOCUMENTS = {
     for path in (*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("docs/*.md")))
 }
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-PROVIDED = {"paths.h5": "surrogate/reference/dataset.h5"}
+PROVIDED = {
+    "paths.h5": "surrogate/reference/dataset.h5",
+    "bench.csv": "examples/measurements/bench.csv",
+}
 """Files of the reader's own that the documents' code opens, and ours in their place."""
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")

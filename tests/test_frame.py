@@ -61,6 +61,7 @@ def requirements() -> list[Requirement]:
         "verification",
         "figures",
         "refinement",
+        "mesh-error",
         "reference",
         "bench-fem",
     ],

@@ -16,18 +16,38 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import pkgutil
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
 from types import ModuleType
 
-from ..errors import EffectError
+from ..errors import EffectError, FileError, PbaError
 from ..problem import STAGES, Problem
 from ..space import Parameter, Space
 
 ENTRY_POINTS = "pba.effects"
 """Entry-point group of installed packages that bring effects."""
+
+MACHINERY = frozenset({"door", "conformance", "trial"})
+"""Modules of this package that serve effects and hold none."""
+
+AUTHORS_ERRORS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    NameError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    PbaError,
+)
+"""What a mistake in an author's code raises; it is told to the author in one line."""
 
 
 @dataclass(frozen=True)
@@ -144,15 +164,40 @@ def _effects_in(module: ModuleType) -> list[Effect]:
 
 def _load_file(path: Path) -> ModuleType:
     """Run a user's effect file as a module of its own."""
+    if not path.is_file():
+        raise FileError(path, "no such file of effects")
     spec = importlib.util.spec_from_file_location(f"pba_effects_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise EffectError(f"{path}: not a Python file")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
-    except (SyntaxError, ImportError, NameError, TypeError, OSError) as error:
-        raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
+    except AUTHORS_ERRORS as error:
+        del sys.modules[spec.name]
+        what = "" if isinstance(error, PbaError) else f"{type(error).__name__}: "
+        raise EffectError(f"{path}: {what}{error}") from error
     return module
+
+
+def effects_of_file(path: Path) -> list[Effect]:
+    """The effects that a user's file declares, none of them known by name already.
+
+    Raises
+    ------
+    FileError
+        When there is no such file.
+    EffectError
+        When the file cannot be run, declares no effect or takes a name that is taken.
+    """
+    known = catalogue()
+    own = [e for e in _effects_in(_load_file(path)) if known.get(e.name) is not e]
+    if not own:
+        raise EffectError(f"{path}: declares no effect; see docs/writing-an-effect.md")
+    for one in own:
+        if one.name in known:
+            raise EffectError(f"{path}: an effect named {one.name!r} exists already")
+    return own
 
 
 def catalogue(effects_dir: Path | None = None) -> dict[str, Effect]:
@@ -175,7 +220,7 @@ def catalogue(effects_dir: Path | None = None) -> dict[str, Effect]:
     package = import_module("datagen.effects")
     found: list[tuple[str, Effect]] = []
     for info in pkgutil.iter_modules(package.__path__):
-        if info.name != "door":
+        if info.name not in MACHINERY:
             module = import_module(f"datagen.effects.{info.name}")
             found += [(info.name, one) for one in _effects_in(module)]
     for entry in metadata.entry_points(group=ENTRY_POINTS):
@@ -190,7 +235,7 @@ def catalogue(effects_dir: Path | None = None) -> dict[str, Effect]:
             found += [(str(path), one) for one in _effects_in(_load_file(path))]
     names: dict[str, Effect] = {}
     for place, one in found:
-        if one.name in names:
+        if names.get(one.name, one) is not one:  # an imported one is the same one
             raise EffectError(f"{place}: an effect named {one.name!r} exists already")
         names[one.name] = one
     return dict(sorted(names.items()))

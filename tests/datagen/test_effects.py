@@ -10,6 +10,7 @@ import pytest
 
 from datagen.device import named_device
 from datagen.effects import catalogue, effect
+from datagen.effects.door import effects_of_file
 from datagen.errors import EffectError, InputError
 from datagen.mesh import mesh_level
 from datagen.model import Model
@@ -176,6 +177,44 @@ def test_bad_user_files_are_named_in_one_line(tmp_path: FilePath) -> None:
         catalogue(tmp_path)
     with pytest.raises(EffectError, match="no such folder"):
         catalogue(tmp_path / "nowhere")
+
+
+def test_mistakes_at_import_are_named_in_one_line(tmp_path: FilePath) -> None:
+    file = tmp_path / "mine.py"
+    for text, words in (
+        ("x = 1 / 0", "ZeroDivisionError: division by zero"),
+        ("import numpy\nnumpy.nothing", "AttributeError: .*nothing"),
+        (USER_FILE.replace('"Pa"', '""'), "offset.unit: ''"),
+    ):
+        file.write_text(text)
+        with pytest.raises(EffectError, match=rf"mine\.py: {words}"):
+            catalogue(tmp_path)
+
+
+LAW_FILE = (
+    USER_FILE
+    + '''
+from dataclasses import dataclass
+
+from datagen.effects.self_weight import self_weight
+from datagen.materials import Hyperelastic
+
+@dataclass(frozen=True)
+class Own:
+    """A law under postponed annotations, which dataclasses look up by the module."""
+
+    share: float
+    law: Hyperelastic = Hyperelastic()
+'''
+)
+
+
+def test_a_users_file_may_hold_classes_and_import_effects(tmp_path: FilePath) -> None:
+    file = tmp_path / "own.py"
+    file.write_text("from __future__ import annotations\n" + LAW_FILE)
+    assert catalogue(tmp_path)["self_weight"] is catalogue()["self_weight"]
+    (own,) = effects_of_file(file)
+    assert own.name == "gauge_offset"
 
 
 def test_observers_change_what_is_reported() -> None:

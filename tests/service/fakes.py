@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -22,6 +22,7 @@ from service.answer import fem_answer
 from service.workers import Report
 
 BAND = 1e-6  # half the width of the fake interval, SI
+MESH_ERROR = 0.01  # of the fake finite elements, over the value
 
 
 def closed_form(design: Design, pressure: np.ndarray) -> np.ndarray:
@@ -91,8 +92,21 @@ class FakeSurrogate:
 class FakeFem:
     """Finite elements whose path turns at 400 kPa."""
 
-    def __call__(self, designs: Sequence[Design], paths: Sequence[Path]) -> Response:
-        return _response(designs, paths, 400e3)
+    def __call__(
+        self,
+        designs: Sequence[Design],
+        paths: Sequence[Path],
+        mesh_error: bool = False,
+    ) -> Response:
+        response = _response(designs, paths, 400e3)
+        if not mesh_error:
+            return response
+        return replace(
+            response,
+            mesh_error=MESH_ERROR * np.abs(response.values),
+            limit_pressure_error=MESH_ERROR * response.limit_pressure,
+            info=response.info | {"mesh_error_seconds": 0.05},
+        )
 
 
 def predict(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:

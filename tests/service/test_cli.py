@@ -21,7 +21,13 @@ from datagen.response import Path as LoadPath
 from datagen.units import BY_FIELD, QUANTITY
 from service import answer, terminal
 from service.cli import main
-from tests.service.fakes import BAND, FakeFem, FakeSurrogate, closed_form
+from tests.service.fakes import (
+    BAND,
+    MESH_ERROR,
+    FakeFem,
+    FakeSurrogate,
+    closed_form,
+)
 
 
 @dataclass(frozen=True)
@@ -42,18 +48,21 @@ class FakeModel:
         designs: Sequence[Any],
         paths: Sequence[LoadPath],
         sensitivities: bool = False,
+        mesh_error: bool = False,
     ) -> Response:
-        response = FakeFem()(designs, paths)
+        response = FakeFem()(designs, paths, mesh_error)
         if not sensitivities:
             return response
         slopes = np.stack([response.values, 2 * response.values], axis=-1)
         names = ("upper_thickness", "effect.parameter")
         return replace(response, parameters=names, jacobian=slopes)
 
-    def explore(self, design: Any, max_pressure: float, beyond: bool) -> Response:
+    def explore(
+        self, design: Any, max_pressure: float, beyond: bool, mesh_error: bool = False
+    ) -> Response:
         assert beyond
         turning = np.array([0.5, 1.0, 0.4]) * max_pressure
-        return FakeFem()([design], [LoadPath(turning)])
+        return FakeFem()([design], [LoadPath(turning)], mesh_error)
 
 
 @pytest.fixture(autouse=True)
@@ -101,6 +110,26 @@ def test_solve_json(pba: Any) -> None:
     assert data["limit_pressure_kPa"] is None
     assert (data["unknowns"], data["seconds"]) == (4321, 0.25)
     assert data["model_version"] == "fem-fake-standard"
+
+
+def test_mesh_error_is_told_unless_not_wanted(pba: Any) -> None:
+    command = "solve --pressures 0,100,500"
+    data = the_json(pba(f"{command} --json"))
+    for name in QUANTITY:
+        values, errors = data[name], data["mesh_error"][name]
+        assert errors[:2] == pytest.approx([MESH_ERROR * abs(v) for v in values[:2]])
+        assert errors[2] is None
+    assert data["limit_pressure_error_kPa"] == pytest.approx(400 * MESH_ERROR)
+    assert data["mesh_error_seconds"] == 0.05
+    status, out, _ = pba(command)
+    assert status == 0
+    assert "±0.0" in out
+    assert "400 kPa (mesh error 4 kPa)" in out
+    assert "± bounds the discretisation error" in out
+    plain = the_json(pba(f"{command} --no-mesh-error --json"))
+    assert plain["mesh_error"] is plain["limit_pressure_error_kPa"] is None
+    assert plain["inflation_mm"] == data["inflation_mm"]
+    assert "±" not in pba(f"{command} --no-mesh-error")[1]
 
 
 def test_sensitivities_are_in_bench_units(pba: Any) -> None:
@@ -176,7 +205,10 @@ def test_predict_out_of_range_asks_the_finite_elements(pba: Any) -> None:
     data = the_json(pba("predict --set lower_modulus_MPa=50 --pressures 10 --json"))
     assert (data["source"], data["in_range"]) == ("fem", False)
     assert data["reasons"] == ["lower_modulus is outside the trained range"]
-    assert data["inflation_mm_low"] == data["inflation_mm"]
+    (value,), (half,) = data["inflation_mm"], data["mesh_error"]["inflation_mm"]
+    assert half == pytest.approx(MESH_ERROR * value)
+    assert data["inflation_mm_low"] == [pytest.approx(value - half)]
+    assert data["inflation_mm_high"] == [pytest.approx(value + half)]
     assert the_json(pba("predict --pressures 200 --json"))["source"] == "fem"
 
 

@@ -13,7 +13,7 @@ from datagen.device import named_device
 from datagen.response import OUTPUT_NAMES
 from datagen.units import BY_FIELD
 from service.answer import surrogate_answer
-from tests.service.fakes import BAND, FakeSurrogate, closed_form
+from tests.service.fakes import BAND, MESH_ERROR, FakeSurrogate, closed_form
 
 KPA = [0, 10, 20.5]
 S1 = {
@@ -88,7 +88,12 @@ def test_twice_the_range_is_answered_by_finite_elements(client: TestClient) -> N
     assert answer["model_version"] == "fem-fake"
     assert answer["unknowns"] == 4321
     tip = answer["tip_deflection_mm"]
-    assert tip["low"] == tip["value"] == tip["high"]
+    half = answer["mesh_error"]["tip_deflection_mm"]
+    assert half == pytest.approx([MESH_ERROR * abs(v) for v in tip["value"]])
+    for value, low, high, error in zip(
+        tip["value"], tip["low"], tip["high"], half, strict=True
+    ):
+        assert (low, high) == pytest.approx((value - error, value + error))
 
 
 def test_past_the_trained_pressure_and_past_the_limit_point(client: TestClient) -> None:

@@ -1,0 +1,601 @@
+"""Evidence of hypotheses, and what the readings say of their parameters.
+
+A hypothesis predicts every reading from a few parameters; calibrations enter linearly
+and are integrated out exactly, so that physics cannot hide in them and they cannot
+pass for physics.  The evidence is
+
+    Z = int p(t) p(eta) N(y - f(t); C(eta)) dt deta
+
+over the parameters' coordinates t, by importance sampling around the best fit within
+the bounds (right at the edge of a range, where Laplace's method is not), by nested
+sampling where that has too few effective samples, and over the amplitudes eta by
+Laplace's method, which their priors make harmless.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import gammaln, logsumexp
+
+from .noise import Covariance, Frame, Hyper, Readings
+from .prior import NORMAL, Prior
+
+Array = np.ndarray
+
+SAMPLES, DEFENSIVE, TAIL = 2000, 0.15, 4.0
+"""Importance samples, share drawn from the prior, degrees of freedom of the rest."""
+
+ENOUGH, LIVE = 60.0, 400
+"""Effective samples below which nested sampling decides, and its live points a
+dimension."""
+
+
+class Prediction(NamedTuple):
+    """What a hypothesis says of n readings at one point.
+
+    values : (n,) array.
+    slopes : (n, k) array; by the coordinates of its parameters.
+    columns : (n, r) array; change by one standard deviation of each calibration.
+    """
+
+    values: Array
+    slopes: Array
+    columns: Array
+
+
+class Hypothesis(Protocol):
+    """A statement about the readings.
+
+    `common` holds shapes of an unknown effect, (n, m) for each group of readings; empty
+    for hypotheses that say what the effect is.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def priors(self) -> tuple[Prior, ...]: ...
+
+    @property
+    def common(self) -> tuple[Array, ...]: ...
+
+    def predict(self, t: Array) -> Prediction:
+        """Prediction at coordinates (k,)."""
+        ...
+
+    def many(self, t: Array) -> Array:
+        """(m, n) values at coordinates (m, k)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis conditioned on readings.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    readings : Readings
+    keep : (n,) array of bool
+        Readings that were used.
+    t : (k,) array
+        Coordinates of the best fit.
+    eta : (h,) array
+        Log amplitudes there, named in `hyper`.
+    hyper : Hyper
+    covariance : Covariance
+    misfit : float
+        -2 log posterior density of the best fit, up to a constant that hypotheses of
+        one set of readings share; its difference is a chi-square.
+    log_evidence : float
+        NaN where it was not asked for.
+    samples, weights : (m, k), (m,) arrays
+        Of the posterior, coordinates; weights sum to one.
+    effective : float
+        Effective number of samples.
+    """
+
+    hypothesis: Hypothesis
+    readings: Readings
+    keep: Array
+    t: Array
+    eta: Array
+    hyper: Hyper
+    covariance: Covariance
+    misfit: float
+    log_evidence: float = math.nan
+    samples: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+    effective: float = math.nan
+
+    def amplitude(self, kind: str) -> dict[int, float]:
+        """Amplitudes of one kind (``noise``, ``smooth``, ``common``) by group."""
+        return {
+            int(name.split()[1]): float(np.exp(value))
+            for name, value in zip(self.hyper.names, self.eta, strict=True)
+            if name.split()[0] == kind
+        }
+
+    @property
+    def noise(self) -> Array:
+        """(n,) standard deviation of independent errors, inferred where not stated."""
+        factor = self.amplitude("noise")
+        of_reading = [factor.get(int(g), 1.0) for g in self.readings.group]
+        noise: Array = self.readings.noise * np.array(of_reading)
+        return noise
+
+    def values(self) -> Array:
+        """(m, k) samples as values of the parameters, SI."""
+        columns = [
+            prior.value(self.samples[:, i])
+            for i, prior in enumerate(self.hypothesis.priors)
+        ]
+        return np.stack(columns, axis=1) if columns else self.samples
+
+    def mean(self) -> Array:
+        """(k,) posterior means of the parameters, SI."""
+        mean: Array = self.weights @ self.values()
+        return mean
+
+    def std(self) -> Array:
+        """(k,) posterior standard deviations, SI."""
+        values = self.values()
+        spread: Array = np.sqrt(self.weights @ (values - self.weights @ values) ** 2)
+        return spread
+
+    def interval(self, coverage: float = 0.9) -> Array:
+        """(k, 2) central posterior intervals of the parameters, SI."""
+        values = self.values()
+        ends = []
+        for column in values.T:
+            order = np.argsort(column)
+            mass = np.cumsum(self.weights[order]) - self.weights[order] / 2
+            wanted = [(1 - coverage) / 2, (1 + coverage) / 2]
+            ends.append(np.interp(wanted, mass, column[order]))
+        return np.array(ends).reshape(-1, 2)
+
+    def predict(self) -> Array:
+        """(n,) predictions of all readings, kept or not, calibrated on those kept."""
+        at = self.hypothesis.predict(self.t)
+        frame = Frame(self.readings.subset(self.keep))
+        r = frame.turn @ (self.readings.value - at.values)[self.keep]
+        found = self.covariance.coefficients(r)
+        common = self.amplitude("common")
+        shapes = [
+            common[g] * s for g, s in zip(common, self.hypothesis.common, strict=True)
+        ]
+        columns = np.concatenate([at.columns, *shapes], axis=1)
+        prediction: Array = at.values + columns @ found
+        return prediction
+
+
+class _Target:
+    """Log posterior of one hypothesis over coordinates and amplitudes."""
+
+    def __init__(self, frame: Frame, keep: Array, hypothesis: Hypothesis) -> None:
+        self.frame, self.hypothesis = frame, hypothesis
+        self._keep = keep
+        self.hyper = frame.hyper(bool(hypothesis.common))
+        self._common = tuple(frame.turn @ s[keep] for s in hypothesis.common)
+        self._y = frame.readings.value
+        self.priors = hypothesis.priors
+        self.lower = np.array([p.bounds[0] for p in self.priors])
+        self.upper = np.array([p.bounds[1] for p in self.priors])
+        self.pull = np.array([float(p.density == NORMAL) for p in self.priors])
+
+    def look(self, t: Array) -> tuple[Array, Array, Array]:
+        """Turned residual (n,), its slopes (n, k), calibration columns (n, r)."""
+        at = self.hypothesis.predict(t)
+        turn, keep = self.frame.turn, self._keep
+        return (
+            turn @ (self._y - at.values[keep]),
+            -(turn @ at.slopes[keep]),
+            turn @ at.columns[keep],
+        )
+
+    def covariance(self, eta: Array, columns: Array) -> Covariance:
+        return Covariance(self.frame, self.hyper, eta, columns, self._common)
+
+    def log_prior(self, t: Array) -> Array:
+        """(m,) log prior densities of coordinates (m, k)."""
+        total = np.zeros(len(t))
+        for i, prior in enumerate(self.priors):
+            total = total + prior.log_density(t[:, i])
+        return total
+
+    def amplitudes(self, eta: Array, r: Array, columns: Array) -> Array:
+        """Best log amplitudes for a residual."""
+        hyper = self.hyper
+        if not hyper.names:
+            return eta
+
+        def cost(eta: Array) -> tuple[float, Array]:
+            covariance = self.covariance(eta, columns)
+            z = (eta - hyper.centre) / hyper.width
+            value = covariance.log_density(r) - 0.5 * float(z @ z)
+            return -value, -(covariance.slope(r) - z / hyper.width)
+
+        bounds = list(
+            zip(
+                hyper.centre - 7 * hyper.width,
+                hyper.centre + 7 * hyper.width,
+                strict=True,
+            )
+        )
+        found = minimize(
+            cost,
+            eta,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"ftol": 1e-10},
+        )
+        best: Array = found.x
+        return best
+
+    def coordinates(self, t: Array, eta: Array) -> Array:
+        """Best coordinates at given amplitudes: damped Gauss-Newton within bounds."""
+        if not len(t):
+            return t
+        r, slopes, columns = self.look(t)
+        covariance = self.covariance(eta, columns)
+        damping = 1e-3
+
+        def cost(r: Array, t: Array) -> float:
+            return 0.5 * float(r @ covariance.solve(r) + self.pull @ t**2)
+
+        now = cost(r, t)
+        for _ in range(30):
+            gradient = slopes.T @ covariance.solve(r) + self.pull * t
+            normal = slopes.T @ covariance.solve(slopes) + np.diag(self.pull)
+            pushed = ((t <= self.lower) & (gradient > 0)) | (
+                (t >= self.upper) & (gradient < 0)
+            )
+            free = np.flatnonzero(~pushed)
+            if not len(free):
+                break
+            part = normal[np.ix_(free, free)]
+            part = part + damping * np.diag(np.diag(part) + 1e-12)
+            step = np.zeros_like(t)
+            step[free] = -np.linalg.solve(part, gradient[free])
+            ahead = np.clip(t + step, self.lower, self.upper)
+            seen = self.look(ahead)
+            then = cost(seen[0], ahead)
+            if then <= now:
+                gain = now - then
+                t, r, slopes, now = ahead, seen[0], seen[1], then
+                damping = max(damping / 5, 1e-9)
+                if gain < 1e-6:
+                    break
+            else:
+                damping *= 8
+                if damping > 1e8:
+                    break
+        return t
+
+    def optimum(self, t: Array, eta: Array) -> tuple[Array, Array, float]:
+        """Best coordinates and amplitudes from a start, and -2 log density there."""
+        best = math.inf
+        for _ in range(12):
+            r, _, columns = self.look(t)
+            eta = self.amplitudes(eta, r, columns)
+            t = self.coordinates(t, eta)
+            r, _, columns = self.look(t)
+            value = self.covariance(eta, columns).log_density(r)
+            cost = -2 * value - 2 * self.hyper.log_prior(eta) + float(self.pull @ t**2)
+            if best - cost < 1e-3:
+                break
+            best = cost
+        return t, eta, min(best, cost)
+
+    def curvature(self, eta: Array, r: Array, columns: Array) -> float:
+        """Log of the integral of exp over the amplitudes around their best values."""
+        hyper = self.hyper
+        h = len(hyper.names)
+        if not h:
+            return 0.0
+        matrix, step = np.empty((h, h)), 1e-3
+        for i in range(h):
+            ahead, behind = eta.copy(), eta.copy()
+            ahead[i] += step
+            behind[i] -= step
+            matrix[i] = (
+                self.covariance(behind, columns).slope(r)
+                - self.covariance(ahead, columns).slope(r)
+            ) / (2 * step)
+        matrix = (matrix + matrix.T) / 2 + np.diag(1 / hyper.width**2)
+        values = np.maximum(np.linalg.eigvalsh(matrix), 1e-3 / hyper.width.max() ** 2)
+        volume = 0.5 * h * math.log(2 * math.pi) - 0.5 * float(np.log(values).sum())
+        return hyper.log_prior(eta) + volume
+
+
+def fit(
+    readings: Readings,
+    hypothesis: Hypothesis,
+    *,
+    keep: Array | None = None,
+    frame: Frame | None = None,
+    starts: Sequence[Array] = (),
+    eta: Array | None = None,
+    evidence: bool = True,
+    nested: bool = False,
+    seed: int = 0,
+) -> Fit:
+    """Condition a hypothesis on readings.
+
+    Parameters
+    ----------
+    readings : Readings
+    hypothesis : Hypothesis
+        Predicts all of them.
+    keep : (n,) array of bool, optional
+        Readings to use; all by default.
+    frame : Frame, optional
+        Of the kept readings, where it is at hand.
+    starts : sequence of (k,) arrays
+        Coordinates to start from, besides off.
+    eta : (h,) array, optional
+        Log amplitudes to start from.
+    evidence : bool
+        Whether to integrate, or only to find the best fit.
+    nested : bool
+        Whether nested sampling takes over where too few samples are effective.
+    seed : int
+        Of the samples.
+
+    Returns
+    -------
+    Fit
+    """
+    keep = np.ones(len(readings.value), dtype=bool) if keep is None else keep
+    frame = frame or Frame(readings.subset(keep))
+    target = _Target(frame, keep, hypothesis)
+    begin = target.hyper.centre if eta is None else eta
+    off = np.array([prior.off for prior in hypothesis.priors])
+    found = [
+        target.optimum(np.clip(t, target.lower, target.upper), begin)
+        for t in (off, *starts)
+    ]
+    t, eta, misfit = min(found, key=lambda one: one[2])
+    for _ in range(3):
+        best = _conclude(target, readings, keep, hypothesis, t, eta, misfit)
+        if not evidence:
+            return best
+        best, top = _integrate(target, best, seed)
+        if top is None:
+            break
+        # A sample better than the best fit: there is another optimum.
+        again = target.optimum(top, eta)
+        if again[2] > misfit - 1e-2:
+            break
+        t, eta, misfit = again
+    if nested and best.effective < ENOUGH and len(t):
+        best = _nested(target, best, seed)
+    return best
+
+
+def _conclude(
+    target: _Target,
+    readings: Readings,
+    keep: Array,
+    hypothesis: Hypothesis,
+    t: Array,
+    eta: Array,
+    misfit: float,
+) -> Fit:
+    columns = target.look(t)[2]
+    return Fit(
+        hypothesis=hypothesis,
+        readings=readings,
+        keep=keep,
+        t=t,
+        eta=eta,
+        hyper=target.hyper,
+        covariance=target.covariance(eta, columns),
+        misfit=misfit,
+    )
+
+
+def _log_likelihood(target: _Target, best: Fit, t: Array) -> Array:
+    """(m,) log densities of the readings at coordinates (m, k), amplitudes fixed."""
+    values = best.hypothesis.many(t)[:, best.keep]
+    r = target.frame.turn @ (target.frame.readings.value[None, :] - values).T
+    covariance = best.covariance
+    constant = covariance.log_determinant + r.shape[0] * math.log(2 * math.pi)
+    logs = -0.5 * (covariance.quadratic(r) + constant)
+    return np.where(np.isfinite(logs), logs, -np.inf)
+
+
+def _outer(target: _Target, best: Fit) -> float:
+    """What amplitudes and turning add to the log evidence."""
+    r, _, columns = target.look(best.t)
+    return target.curvature(best.eta, r, columns) + target.frame.log_volume
+
+
+def _integrate(target: _Target, best: Fit, seed: int) -> tuple[Fit, Array | None]:
+    """Importance sampling over the coordinates: Student around the fit, and prior.
+
+    Returns
+    -------
+    Fit, and a sample that is better than the best fit where there is one.
+    """
+    k = len(best.t)
+    outer = _outer(target, best)
+    if k == 0:
+        r = target.look(best.t)[0]
+        value = best.covariance.log_density(r) + outer
+        done = replace(
+            best,
+            log_evidence=value,
+            samples=np.zeros((1, 0)),
+            weights=np.ones(1),
+            effective=math.inf,
+        )
+        return done, None
+    rng = np.random.default_rng(seed)
+    slopes = target.look(best.t)[1]
+    normal = slopes.T @ best.covariance.solve(slopes) + np.diag(target.pull)
+    # Where the readings say nothing of a direction, its range does.
+    width = target.upper - target.lower
+    normal = normal + np.diag(1.0 / width**2)
+    half = 1.2 * np.linalg.inv(np.linalg.cholesky((normal + normal.T) / 2)).T
+    count = int(SAMPLES * DEFENSIVE)
+    u = rng.random((count, k))
+    broad = np.stack(
+        [prior.sample(u[:, i]) for i, prior in enumerate(target.priors)], axis=1
+    )
+    near = rng.standard_normal((SAMPLES - count, k))
+    near /= np.sqrt(rng.chisquare(TAIL, SAMPLES - count) / TAIL)[:, None]
+    t = np.concatenate([broad, best.t + near @ half.T])
+    inside = ((t >= target.lower) & (t <= target.upper)).all(axis=1)
+    prior = np.full(SAMPLES, -np.inf)
+    prior[inside] = target.log_prior(t[inside])
+    z = np.linalg.solve(half, (t - best.t).T)
+    student = (
+        gammaln((TAIL + k) / 2)
+        - gammaln(TAIL / 2)
+        - 0.5 * k * math.log(TAIL * math.pi)
+        - float(np.log(np.abs(np.diag(half))).sum())
+        - 0.5 * (TAIL + k) * np.log1p((z**2).sum(axis=0) / TAIL)
+    )
+    mixture = np.logaddexp(
+        math.log(DEFENSIVE) + prior, math.log(1 - DEFENSIVE) + student
+    )
+    logs = np.full(SAMPLES, -np.inf)
+    logs[inside] = prior[inside] + _log_likelihood(target, best, t[inside])
+    at_best = _log_likelihood(target, best, best.t[None, :])
+    at_best = at_best + target.log_prior(best.t[None, :])
+    top = int(np.argmax(logs))
+    better = t[top] if logs[top] > at_best[0] + 0.5 else None
+    logs[inside] -= mixture[inside]
+    total = float(logsumexp(logs))
+    weights = np.exp(logs - total)
+    used = weights > 0
+    done = replace(
+        best,
+        log_evidence=total - math.log(SAMPLES) + outer,
+        samples=t[used],
+        weights=weights[used],
+        effective=float(1 / (weights**2).sum()),
+    )
+    return done, better
+
+
+def _nested(target: _Target, best: Fit, seed: int) -> Fit:
+    """Nested sampling over the coordinates (Skilling 2006; Speagle 2020)."""
+    from dynesty import NestedSampler
+
+    k = len(best.t)
+
+    def transform(u: Array) -> Array:
+        return np.array(
+            [float(prior.sample(u[i])) for i, prior in enumerate(target.priors)]
+        )
+
+    def likelihood(t: Array) -> float:
+        return max(float(_log_likelihood(target, best, t[None, :])[0]), -1e300)
+
+    sampler = NestedSampler(
+        likelihood, transform, k, nlive=LIVE * k, rstate=np.random.default_rng(seed)
+    )
+    sampler.run_nested(print_progress=False, dlogz=0.05)
+    result = sampler.results
+    weights = np.exp(result.logwt - result.logz[-1])
+    weights /= weights.sum()
+    return replace(
+        best,
+        log_evidence=float(result.logz[-1]) + _outer(target, best),
+        samples=result.samples,
+        weights=weights,
+        effective=float(1 / (weights**2).sum()),
+    )
+
+
+def nearest(
+    truth: Fit, hypothesis: Hypothesis, starts: Sequence[Array] = ()
+) -> tuple[Array, Array]:
+    """How near a hypothesis comes to what another one predicts, errors aside.
+
+    Parameters
+    ----------
+    truth : Fit
+        Its best fit is taken for true; its amplitudes are kept.
+    hypothesis : Hypothesis
+        Of the same readings.
+    starts : sequence of (k,) arrays
+        Coordinates to start from, besides off.
+
+    Returns
+    -------
+    t : (k,) array
+        Coordinates that come nearest, calibrations and priors paid for.
+    lack : (n,) array
+        What is left, turned and divided by the errors' Cholesky factor: its square sum
+        is the chi-square by which such readings would tell the two apart.
+    """
+    keep = truth.keep
+    values = truth.hypothesis.predict(truth.t).values
+    readings = replace(truth.readings, value=values)
+    frame = Frame(readings.subset(keep))
+    target = _Target(frame, keep, hypothesis)
+    eta = np.array(
+        [
+            dict(zip(truth.hyper.names, truth.eta, strict=True)).get(name, middle)
+            for name, middle in zip(
+                target.hyper.names, target.hyper.centre, strict=True
+            )
+        ]
+    )
+    off = np.array([prior.off for prior in hypothesis.priors])
+    best, cost = off, math.inf
+    for start in (off, *starts):
+        t = target.coordinates(np.clip(start, target.lower, target.upper), eta)
+        r, _, columns = target.look(t)
+        covariance = target.covariance(eta, columns)
+        value = float(covariance.quadratic(r[:, None])[0] + target.pull @ t**2)
+        if value < cost:
+            best, cost = t, value
+    r, _, columns = target.look(best)
+    covariance = target.covariance(eta, columns)
+    dense = np.diag(covariance.diagonal) + covariance.columns @ covariance.columns.T
+    lack: Array = np.linalg.solve(np.linalg.cholesky(dense), r)
+    return best, lack
+
+
+HOPELESS = 12.0
+"""Log evidence behind the best at which a better integral would change nothing."""
+
+
+def weigh(
+    readings: Readings, hypotheses: Sequence[Hypothesis], seed: int = 0
+) -> list[Fit]:
+    """Condition hypotheses on the same readings; integrals that matter are sound."""
+    frame = Frame(readings)
+    fits = [fit(readings, one, frame=frame, seed=seed) for one in hypotheses]
+    best = max(one.log_evidence for one in fits)
+    return [
+        fit(
+            readings,
+            one.hypothesis,
+            frame=frame,
+            starts=[one.t],
+            nested=True,
+            seed=seed,
+        )
+        if one.effective < ENOUGH and one.log_evidence > best - HOPELESS
+        else one
+        for one in fits
+    ]
+
+
+def probabilities(log_evidence: Array, log_prior: Array) -> Array:
+    """Posterior probabilities (h,) of hypotheses, by Bayes' rule."""
+    logs = log_evidence + log_prior
+    shares: Array = np.exp(logs - logsumexp(logs))
+    return shares

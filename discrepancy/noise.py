@@ -1,0 +1,307 @@
+"""How readings err: independent noise, smooth errors inside a curve, calibration.
+
+Points of one curve are not independent: camera set-up, meshing and whatever a model
+lacks in small ways bend the whole curve.  Counting them as independent finds effects
+that are not there.  The covariance of the readings is therefore
+
+    C = S (tau_g^2 I + a_g^2 K) S + U U^T,
+
+S the stated noise of each reading (or a guess of it), tau its factor (1 where it is
+stated), K the smooth errors of each curve by itself in units of that noise, with the
+amplitude a as a share of the curve's largest value, and U the changes by one prior
+standard deviation of each calibration.  K is turned once to its eigenvectors; any
+amplitude then costs no factorisation, and calibrations enter by Woodbury's identity.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+from datagen.errors import InputError
+
+Array = np.ndarray
+
+LENGTH = 0.5
+"""Correlation length of smooth errors over a curve's range of pressure."""
+
+SMOOTH_CENTRE, SMOOTH_WIDTH = 0.01, 1.0
+"""Amplitude of smooth errors, share of a curve's maximum: log-normal around 1 %, with
+95 % between 0.14 and 7 %.  Side by side, programs of the same mechanics differ by 0.2 %
+in inflation and by 1 to 10 % in tip (docs/benchmarks/fem.md)."""
+
+NOISE_WIDTH = 1.2
+"""Log-normal width of independent noise that is not stated, around its guess."""
+
+COMMON_CENTRE, COMMON_WIDTH = 0.05, 1.2
+"""Amplitude of an effect that no hypothesis knows, share of a curve's maximum."""
+
+
+def smooth_kernel(place: Array, length: float = LENGTH) -> Array:
+    """Correlation (n, n) of smooth errors at places (n,): Matern 3/2."""
+    distance = math.sqrt(3) * np.abs(place[:, None] - place[None, :]) / length
+    kernel: Array = (1 + distance) * np.exp(-distance)
+    return kernel
+
+
+_ARRAYS = (
+    "value",
+    "group",
+    "curve",
+    "place",
+    "noise",
+    "stated",
+    "device",
+    "scale",
+)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Measured numbers and what is known of their errors.
+
+    Parameters
+    ----------
+    value : (n,) array
+    group : (n,) array of int
+        Readings whose errors have one amplitude: those of one quantity.
+    curve : (n,) array of int
+        Readings whose smooth errors belong together: one quantity of one run.
+    place : (n,) array
+        Along a curve, 0 to 1 of the common range of pressure.
+    noise : (n,) array
+        Standard deviation of independent errors, stated or guessed; above 0.
+    stated : (n,) array of bool
+        Whether `noise` is stated; a group with readings where it is not has a factor
+        that is inferred.
+    device : (n,) array of int
+        Unit that is held out when predictions are judged.
+    scale : (n,) array
+        Largest magnitude of each reading's curve: the unit of smooth errors.
+    correlated : bool
+        Whether there are smooth errors; False for bodies of independent points.
+    """
+
+    value: Array
+    group: Array
+    curve: Array
+    place: Array
+    noise: Array
+    stated: Array
+    device: Array
+    scale: Array
+    correlated: bool = True
+
+    def __post_init__(self) -> None:
+        n = len(self.value)
+        for name in _ARRAYS[1:]:
+            if getattr(self, name).shape != (n,):
+                raise InputError(name, getattr(self, name).shape, f"shape {(n,)}")
+        if not (np.isfinite(self.noise).all() and (self.noise > 0).all()):
+            raise InputError("noise", float(np.min(self.noise)), "numbers above 0")
+        if not np.isfinite(self.value).all():
+            raise InputError("value", "NaN", "finite numbers")
+
+    def subset(self, keep: Array) -> Readings:
+        """Those readings where `keep` (n,) is true."""
+        return Readings(
+            **{name: getattr(self, name)[keep] for name in _ARRAYS},
+            correlated=self.correlated,
+        )
+
+
+@dataclass(frozen=True)
+class Hyper:
+    """Names and log-normal priors of the amplitudes.
+
+    names : tuple of str; ``noise 0``, ``smooth 0``, ``common 0`` by group.
+    centre, width : (h,) arrays of the logarithms.
+    """
+
+    names: tuple[str, ...]
+    centre: Array
+    width: Array
+
+    def log_prior(self, eta: Array) -> float:
+        """Log density of log amplitudes."""
+        z = (eta - self.centre) / self.width
+        norm = np.log(self.width * math.sqrt(2 * math.pi))
+        return float(-0.5 * z @ z - norm.sum())
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Readings turned so that noise and smooth errors are both diagonal.
+
+    Parameters
+    ----------
+    readings : Readings
+
+    Attributes
+    ----------
+    turn : (n, n) array
+        Rows of turned readings; turned values have noise of variance 1.
+    smooth : (n,) array
+        Variance of smooth errors of amplitude 1 (a whole curve's maximum).
+    group : (n,) array of int
+    """
+
+    readings: Readings
+    turn: Array = field(init=False)
+    smooth: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        data = self.readings
+        n = len(data.value)
+        turn, smooth = np.zeros((n, n)), np.zeros(n)
+        for curve in np.unique(data.curve):
+            at = np.flatnonzero(data.curve == curve)
+            if not data.correlated:
+                turn[at, at] = 1 / data.noise[at]
+                continue
+            share = data.scale[at] / data.noise[at]
+            kernel = share[:, None] * smooth_kernel(data.place[at]) * share[None, :]
+            values, vectors = np.linalg.eigh(kernel)
+            turn[np.ix_(at, at)] = vectors.T / data.noise[at][None, :]
+            smooth[at] = np.maximum(values, 0.0)
+        object.__setattr__(self, "turn", turn)
+        object.__setattr__(self, "smooth", smooth)
+
+    @property
+    def group(self) -> Array:
+        """(n,) group of each turned reading: curves never mix groups."""
+        return self.readings.group
+
+    @property
+    def log_volume(self) -> float:
+        """Log determinant that turning adds to a density of the readings."""
+        return -float(np.log(self.readings.noise).sum())
+
+    def hyper(self, common: bool = False) -> Hyper:
+        """Amplitudes to be inferred; `common` adds those of an unknown effect."""
+        groups = [int(g) for g in np.unique(self.group)]
+        open_groups = [
+            g for g in groups if not self.readings.stated[self.group == g].all()
+        ]
+        smooth = groups if self.readings.correlated else []
+        names, centre, width = [], [], []
+        for kind, chosen, middle, spread in (
+            ("noise", open_groups, 1.0, NOISE_WIDTH),
+            ("smooth", smooth, SMOOTH_CENTRE, SMOOTH_WIDTH),
+            ("common", groups if common else [], COMMON_CENTRE, COMMON_WIDTH),
+        ):
+            names += [f"{kind} {g}" for g in chosen]
+            centre += [math.log(middle)] * len(chosen)
+            width += [spread] * len(chosen)
+        return Hyper(tuple(names), np.array(centre), np.array(width))
+
+
+class Covariance:
+    """Covariance of turned readings at given amplitudes.
+
+    Parameters
+    ----------
+    frame : Frame
+    hyper : Hyper
+    eta : (h,) array
+        Log amplitudes, as `hyper` names them.
+    columns : (n, r) array
+        Turned changes by one standard deviation of each calibration.
+    common : sequence of (n, m) arrays
+        Turned shapes of an unknown effect, for each group, of amplitude 1.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When amplitudes overflow.
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        hyper: Hyper,
+        eta: Array,
+        columns: Array,
+        common: tuple[Array, ...] = (),
+    ) -> None:
+        groups = [int(g) for g in np.unique(frame.group)]
+        amplitude = dict(zip(hyper.names, np.exp(eta), strict=True))
+        self._hyper, self._groups = hyper, groups
+        self._noise2, self._smooth2 = (
+            np.ones(len(frame.group)),
+            np.zeros_like(frame.smooth),
+        )
+        for g in groups:
+            at = frame.group == g
+            self._noise2[at] = amplitude.get(f"noise {g}", 1.0) ** 2
+            self._smooth2[at] = (
+                amplitude.get(f"smooth {g}", 0.0) ** 2 * frame.smooth[at]
+            )
+        self._group = frame.group
+        self.diagonal = self._noise2 + self._smooth2
+        scaled = [
+            amplitude[f"common {g}"] * shapes
+            for g, shapes in zip(groups, common, strict=False)
+        ]
+        self._owner = np.concatenate(
+            [np.full(columns.shape[1], -1)]
+            + [np.full(s.shape[1], g) for g, s in zip(groups, scaled, strict=False)]
+        )
+        self.columns = np.concatenate([columns, *scaled], axis=1)
+        self._weighted = self.columns / self.diagonal[:, None]
+        middle = np.eye(self.columns.shape[1]) + self.columns.T @ self._weighted
+        self._factor = cholesky(middle, lower=True, check_finite=False)
+        self._half = solve_triangular(
+            self._factor, self._weighted.T, lower=True, check_finite=False
+        )
+        self.log_determinant = float(
+            np.log(self.diagonal).sum() + 2 * np.log(np.diag(self._factor)).sum()
+        )
+
+    def solve(self, r: Array) -> Array:
+        """C^-1 r for turned residuals (n,) or (n, k)."""
+        weight = self.diagonal if r.ndim == 1 else self.diagonal[:, None]
+        solved: Array = r / weight - self._half.T @ (self._half @ r)
+        return solved
+
+    def quadratic(self, r: Array) -> Array:
+        """r^T C^-1 r (k,) of turned residuals (n, k)."""
+        whole = (r**2 / self.diagonal[:, None]).sum(axis=0)
+        taken = ((self._half @ r) ** 2).sum(axis=0)
+        form: Array = whole - taken
+        return form
+
+    def coefficients(self, r: Array) -> Array:
+        """Posterior means (r + m,) of calibrations and unknown shapes, prior units."""
+        mean: Array = cho_solve(
+            (self._factor, True), self._weighted.T @ r, check_finite=False
+        )
+        return mean
+
+    def log_density(self, r: Array) -> float:
+        """Log density of turned residuals (n,), turning not counted."""
+        form = float(self.quadratic(r[:, None])[0])
+        return -0.5 * (form + self.log_determinant + len(r) * math.log(2 * math.pi))
+
+    def slope(self, r: Array) -> Array:
+        """Derivatives (h,) of `log_density` by the log amplitudes."""
+        alpha = self.solve(r)
+        inverse = 1 / self.diagonal - (self._half**2).sum(axis=0)
+        by_diagonal = 0.5 * (alpha**2 - inverse)
+        middle = cho_solve(
+            (self._factor, True), np.eye(len(self._owner)), check_finite=False
+        )
+        by_column = (self.columns.T @ alpha) ** 2 - (1 - np.diag(middle))
+        found = []
+        for name in self._hyper.names:
+            kind, g = name.split()
+            if kind == "common":
+                found.append(float(by_column[self._owner == int(g)].sum()))
+            else:
+                part = self._noise2 if kind == "noise" else self._smooth2
+                at = self._group == int(g)
+                found.append(float(2 * part[at] @ by_diagonal[at]))
+        return np.array(found)

@@ -1,0 +1,440 @@
+"""Measurement files into curves: every reading is checked before anything uses it.
+
+What cannot be true is an error that names file, line, field, value, unit, what is
+allowed and, where another unit would do, what was probably meant.  What is odd but
+possible is a warning.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from datagen.device import Design
+from datagen.errors import InputError
+from datagen.specimens import Bulge, Tensile
+
+from .columns import DESIGN_NAMES, NUMBERS, refusal
+from .measurement import (
+    LOADING,
+    MEASURED,
+    UNLOADING,
+    Curve,
+    Measurements,
+    Tolerances,
+)
+from .petab import petab_table
+from .rows import Reading, check_columns, needed, read_row
+from .table import (
+    Complaints,
+    MeasurementError,
+    Row,
+    Table,
+    read_bytes,
+    read_table,
+    short,
+)
+
+LARGEST_RISE = 3.0
+"""Largest inflation over the shorter side of a balloon or hole.  At its limit pressure
+a balloon is about a hemisphere, 0.5; beyond it soft balloons reach some 2."""
+
+LEAST_DIP = 20e-6
+"""m.  A roof lower than at rest by more than this, and by three standard deviations,
+is reported: noise of a camera is smaller."""
+
+SMALLEST_TOP = {"pressure": 500.0, "inflation": 1e-6}
+"""Pa and m.  A file whose largest value is smaller was hardly written in our unit."""
+
+
+def read_measurements(
+    path: str | Path, tolerances: Tolerances | None = None
+) -> Measurements:
+    """Read a CSV file of the contract's columns, or a folder of PEtab tables.
+
+    Parameters
+    ----------
+    path : path
+        A text file; a folder or a problem file (``.yaml``) is read as PEtab, see
+        `petab.petab_table`.
+    tolerances : Tolerances, optional
+        Of the stated values; the contract's where not given.
+
+    Returns
+    -------
+    Measurements
+
+    Raises
+    ------
+    FileError
+        When the file cannot be read.
+    MeasurementError
+        When something in it is not allowed; names the first problem and the lines of
+        the others.
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix.lower() in (".yaml", ".yml"):
+        table, data = petab_table(path)
+    else:
+        data = read_bytes(path)
+        table = read_table(path, data)
+    return _measurements(table, hashlib.sha256(data).hexdigest(), tolerances)
+
+
+def read_petab(path: str | Path, tolerances: Tolerances | None = None) -> Measurements:
+    """Read PEtab tables: a folder of them or a problem file, see `petab.petab_table`.
+
+    Raises
+    ------
+    FileError
+        When a table cannot be read.
+    MeasurementError
+        When something in one is not allowed.
+    """
+    table, data = petab_table(Path(path))
+    return _measurements(table, hashlib.sha256(data).hexdigest(), tolerances)
+
+
+@dataclass
+class _Device:
+    """A device as its first row states it."""
+
+    row: Row
+    specimen: str
+    stated: dict[str, float | str]
+    design: Design | Bulge | Tensile | None = None
+    curves: dict[tuple[int, float], list[Reading]] = field(default_factory=dict)
+
+
+def _measurements(
+    table: Table, sha256: str, tolerances: Tolerances | None
+) -> Measurements:
+    """Curves of a table."""
+    warnings = list(table.warnings)
+    complaints = Complaints(table.path)
+    check_columns(table, complaints)
+    complaints.settle()
+    readings = []
+    unread: dict[str, list[str]] = {}
+    for row in table.rows:
+        before = len(complaints.problems)
+        reading = read_row(row, table, complaints, unread)
+        if len(complaints.problems) == before:
+            readings.append(reading)
+    for word, places in unread.items():
+        warnings.append(
+            f"{short(places[0])}: {word!r} is taken for a missing reading"
+            + (f", and {len(places) - 1} times more" if len(places) > 1 else "")
+        )
+    devices = _devices(readings, complaints)
+    complaints.settle()
+    curves = []
+    for name, device in devices.items():
+        _check_values(device, complaints, warnings)
+        measured = [
+            curve
+            for key, rows in device.curves.items()
+            if (curve := _curve(name, key, device, rows, complaints, warnings))
+        ]
+        if not measured and not complaints.problems:
+            quantities = ", ".join(NUMBERS[q].name for q in MEASURED[device.specimen])
+            complaints.add(
+                device.row.place,
+                f"device: {name!r} has no measured value in any row; allowed: at least "
+                f"one of {quantities}",
+            )
+        curves += measured
+    complaints.settle()
+    warnings += _tops(curves, table.path.name)
+    return Measurements(
+        tuple(curves),
+        table.path.name,
+        sha256,
+        tuple(warnings),
+        tolerances or Tolerances(),
+    )
+
+
+# -- devices ---------------------------------------------------------------------------
+
+
+def _stated(reading: Reading) -> dict[str, float | str]:
+    """What a row says about the device itself."""
+    names = {
+        "actuator": DESIGN_NAMES,
+        "bulge": tuple(name for group in needed("bulge")[:-1] for name in group),
+        "tensile": ("upper_modulus", "lower_modulus"),
+    }[reading.specimen]
+    stated: dict[str, float | str] = {
+        name: reading.numbers[name] for name in names if name in reading.numbers
+    }
+    if reading.specimen == "tensile":
+        stated["mode"] = reading.mode
+    return stated
+
+
+def _design(specimen: str, stated: dict[str, float | str]) -> Design | Bulge | Tensile:
+    """The design of a device; an `InputError` where it cannot be."""
+    if specimen == "actuator":
+        return Design(**stated)  # type: ignore[arg-type]
+    sides = [side for side in ("upper", "lower") if f"{side}_modulus" in stated]
+    if len(sides) == 2:
+        raise InputError(
+            "lower_modulus_MPa",
+            float(stated["lower_modulus"]) / 1e6,
+            f"nothing beside upper_modulus_MPa: a {specimen} specimen is of one layer",
+            "MPa",
+        )
+    side = sides[0]
+    modulus = float(stated[f"{side}_modulus"])
+    if specimen == "tensile":
+        return Tensile(modulus, str(stated["mode"]), side)
+    if f"{side}_thickness" not in stated or len(stated) > 4:
+        raise InputError(
+            f"{side}_modulus_MPa",
+            modulus / 1e6,
+            "thickness and modulus of one and the same layer",
+            "MPa",
+        )
+    return Bulge(
+        float(stated["balloon_length"]),
+        float(stated["balloon_width"]),
+        float(stated[f"{side}_thickness"]),
+        modulus,
+        side,
+    )
+
+
+def _devices(readings: list[Reading], complaints: Complaints) -> dict[str, _Device]:
+    """Devices in order of appearance, each with its readings by run and orientation."""
+    devices: dict[str, _Device] = {}
+    for reading in readings:
+        stated, row = _stated(reading), reading.row
+        device = devices.get(reading.device)
+        if device is None:
+            device = _Device(row, reading.specimen, stated)
+            devices[reading.device] = device
+            try:
+                device.design = _design(reading.specimen, stated)
+            except InputError as error:
+                complaints.add(row.place, str(error))
+        elif reading.specimen != device.specimen:
+            complaints.add(
+                row.where("specimen"),
+                f"specimen: {reading.specimen!r} is not allowed; allowed: "
+                f"{device.specimen}, as in {device.row.line} of the same device "
+                f"{reading.device!r}",
+            )
+            continue
+        elif stated != device.stated:
+            name = next(
+                n
+                for n in {**stated, **device.stated}
+                if stated.get(n) != device.stated.get(n)
+            )
+            complaints.add(
+                row.where(name),
+                f"{_shown(name, stated.get(name))} is not allowed; allowed: "
+                f"{_shown(name, device.stated.get(name))} as in {device.row.line} of "
+                f"the same device {reading.device!r}",
+            )
+            continue
+        key = (int(reading.get("run", 1)), reading.get("orientation", 0.0))
+        device.curves.setdefault(key, []).append(reading)
+    return devices
+
+
+def _shown(name: str, value: float | str | None) -> str:
+    if name not in NUMBERS:
+        return f"{name}: {value!r}"
+    column = NUMBERS[name]
+    if value is None:
+        return f"{column.name}: nothing"
+    shown = float(value) / column.bench.factor
+    return f"{column.name}: {shown:.10g} {column.unit}".rstrip()
+
+
+def _limits(design: Design | Bulge | Tensile) -> dict[str, tuple[float, float, str]]:
+    """What a design allows of each quantity, SI, and why in words."""
+    if isinstance(design, Tensile):
+        return {}
+    if isinstance(design, Bulge):
+        side = min(design.length, design.width)
+        rise, why = LARGEST_RISE * side, "times the shorter side of the hole"
+    else:
+        rise = LARGEST_RISE * min(design.balloon_size)
+        why = "times the shorter side of a balloon"
+    why = f"{LARGEST_RISE:g} {why}"
+    limits = {name: (-rise, rise, why) for name in ("inflation", "inflation_lower")}
+    if isinstance(design, Design):
+        reach = design.length
+        limits["tip_deflection"] = (-reach, reach, "the length of the strip")
+    return limits
+
+
+def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) -> None:
+    """Readings against what the design allows."""
+    if device.design is None:
+        return
+    limits = _limits(device.design)
+    for reading in (one for rows in device.curves.values() for one in rows):
+        row = reading.row
+        for quantity, (lower, upper, why) in limits.items():
+            if quantity in reading.numbers:
+                wrong = refusal(quantity, reading.get(quantity), lower, upper, why)
+                if wrong:
+                    complaints.add(row.where(quantity), wrong)
+        rise, std = reading.get("inflation", 0.0), reading.get("inflation_std", 0.0)
+        if rise < -max(LEAST_DIP, 3 * std) and reading.load > 0:
+            warnings.append(
+                f"{short(row.where('inflation'))}: {_shown('inflation', rise)} at "
+                f"{reading.load / 1e3:.6g} kPa; under pressure a roof rises"
+            )
+
+
+# -- curves ----------------------------------------------------------------------------
+
+
+def _curve(
+    name: str,
+    key: tuple[int, float],
+    device: _Device,
+    rows: list[Reading],
+    complaints: Complaints,
+    warnings: list[str],
+) -> Curve | None:
+    """One curve; None where it has no value, or a problem that was complained about."""
+    before = len(complaints.problems)
+    for check in (_check_order, _check_times, _check_repeats):
+        check(name, key[0], rows, complaints)
+    outputs = tuple(
+        quantity
+        for quantity in MEASURED[device.specimen]
+        if any(quantity in reading.numbers for reading in rows)
+    )
+    if device.design is None or len(complaints.problems) > before:
+        return None
+    prefix = f"{short(rows[0].row.place)}: device {name!r}, "
+    if not outputs:
+        warnings.append(f"{prefix}run {key[0]} has no measured value and is left out")
+        return None
+    warnings += [prefix + text for text in _odd_steps(key[0], rows)]
+    timed = "time" in rows[0].numbers
+    return Curve(
+        device=name,
+        run=key[0],
+        orientation=key[1],
+        design=device.design,
+        load=np.array([reading.load for reading in rows]),
+        time=np.array([reading.get("time") for reading in rows]) if timed else None,
+        branch=np.array([reading.branch for reading in rows]),
+        outputs=outputs,
+        values=np.array([[one.get(q) for q in outputs] for one in rows]),
+        std=np.array([[one.get(f"{q}_std") for q in outputs] for one in rows]),
+    )
+
+
+def _check_order(
+    name: str, run: int, rows: list[Reading], complaints: Complaints
+) -> None:
+    """Loading first, then unloading."""
+    down = None
+    for reading in rows:
+        if reading.branch == UNLOADING:
+            down = down or reading
+        elif down is not None:
+            complaints.add(
+                reading.row.where("branch"),
+                f"branch: 'loading' is not allowed after 'unloading' in "
+                f"{down.row.line} of device {name!r}, run {run}; allowed: loading, "
+                "then unloading, and another run for the next cycle",
+            )
+            return
+
+
+def _check_times(
+    name: str, run: int, rows: list[Reading], complaints: Complaints
+) -> None:
+    """A time in every row or in none, and increasing."""
+    timed = ["time" in reading.numbers for reading in rows]
+    if not any(timed):
+        return
+    if not all(timed):
+        complaints.add(
+            rows[timed.index(False)].row.place,
+            f"time_s: nothing is not allowed; allowed: a time in every row of device "
+            f"{name!r}, run {run}, as in {rows[timed.index(True)].row.line}, or in "
+            "none",
+        )
+        return
+    for last, reading in pairwise(rows):
+        if not reading.get("time") > last.get("time"):
+            complaints.add(
+                reading.row.where("time"),
+                f"time_s: {reading.get('time'):.10g} s is not allowed; allowed: more "
+                f"than the {last.get('time'):.10g} s of {last.row.line}, the load step "
+                f"before of device {name!r}, run {run}",
+            )
+            return
+
+
+def _check_repeats(
+    name: str, run: int, rows: list[Reading], complaints: Complaints
+) -> None:
+    """One row a load step, unless time passes between two."""
+    seen: dict[tuple[str, float, float], Reading] = {}
+    for reading in rows:
+        key = (reading.branch, reading.load, reading.get("time", -1.0))
+        first = seen.setdefault(key, reading)
+        if first is not reading:
+            kind = "stretch" if reading.specimen == "tensile" else "pressure"
+            complaints.add(
+                reading.row.place,
+                f"{_shown(kind, reading.load)}, {reading.branch}, of device {name!r}, "
+                f"run {run} is there already in {first.row.line}; allowed: one row a "
+                "load step; number repeated tests in the column 'run'",
+            )
+
+
+def _odd_steps(run: int, rows: list[Reading]) -> list[str]:
+    """What is odd about the order of the load steps."""
+    odd = []
+    if rows[0].branch == UNLOADING:
+        odd.append(f"run {run} has no loading branch: the highest load is not known")
+    for branch, way in ((LOADING, "falls"), (UNLOADING, "rises")):
+        steps = [reading for reading in rows if reading.branch == branch]
+        # Into vacuum, loading lowers the pressure; in compression, the stretch.
+        start = 1.0 if rows[0].specimen == "tensile" else 0.0
+        size = [abs(reading.load - start) for reading in steps]
+        for reading, last, here in zip(steps[1:], size, size[1:], strict=False):
+            if (here < last) if branch == LOADING else (here > last):
+                odd.append(
+                    f"run {run}: the load {way} in {reading.row.line} of the "
+                    f"{branch} branch; rows are taken as the order applied"
+                )
+                break
+    return odd
+
+
+def _tops(curves: list[Curve], name: str) -> list[str]:
+    """Columns whose largest value is so small that another unit may have been meant."""
+    odd = []
+    for column, least in SMALLEST_TOP.items():
+        sizes = [
+            np.abs(curve.load if column == "pressure" else curve.output(column))
+            for curve in curves
+            if curve.specimen != "tensile"
+            and (column == "pressure" or column in curve.outputs)
+        ]
+        top = max((float(np.nanmax(size)) for size in sizes), default=0.0)
+        if 0 < top < least:
+            text = _shown(column, top)
+            odd.append(f"{name}: the largest {text} in the file: is the unit right?")
+    return odd
+
+
+__all__ = ["MeasurementError", "read_measurements", "read_petab"]

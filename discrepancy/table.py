@@ -1,0 +1,297 @@
+"""Text of a measurement file into rows of fields, whatever program saved it.
+
+Spreadsheets differ in what they put between fields (comma, semicolon, tab), in the
+decimal sign, in the encoding and in what they leave at the ends of lines.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from datagen.atomic import reason
+from datagen.errors import FileError
+
+from .columns import NUMBERS, TEXTS, column_of
+
+SEPARATORS = (",", ";", "\t")
+
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+"""A plain number with a decimal point or a decimal comma."""
+
+MISSING = {"nan", "na", "n/a", "-", "none", "null"}
+"""Words that programs write for a value that is not there, in lower case."""
+
+
+class MeasurementError(FileError):
+    """A measurement file says something that it must not.
+
+    Parameters
+    ----------
+    path : object
+        The file.
+    problems : tuple of (place, text)
+        Place is ``FILE:LINE``; the first one makes the message.
+    """
+
+    def __init__(self, path: object, problems: tuple[tuple[str, str], ...]) -> None:
+        self.problems = problems
+        place, text = problems[0]
+        more = ""
+        if len(problems) > 1:
+            places = list(dict.fromkeys(p.rpartition(":")[2] for p, _ in problems[1:]))
+            shown = ", ".join(places[:8]) + (", ..." if len(places) > 8 else "")
+            lines = "line" if len(places) == 1 else "lines"
+            more = f" (and {len(problems) - 1} more, {lines} {shown})"
+        super().__init__(place, text + more)
+        self.path = str(path)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (type(self), (self.path, self.problems))
+
+
+def short(place: str) -> str:
+    """``FILE:LINE`` without the file's folder."""
+    file, _, line = place.rpartition(":")
+    return f"{Path(file).name}:{line}"
+
+
+@dataclass
+class Complaints:
+    """Problems of one file, collected so that they are told together."""
+
+    path: object
+    problems: list[tuple[str, str]] = field(default_factory=list)
+
+    def add(self, place: str, text: str) -> None:
+        self.problems.append((place, text))
+
+    def settle(self) -> None:
+        """Raise what was collected, if anything was."""
+        if self.problems:
+            raise MeasurementError(self.path, tuple(self.problems))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One reading as text.
+
+    Parameters
+    ----------
+    place : str
+        ``FILE:LINE`` where it is written.
+    texts : dict of str to str
+        Fields that are not empty, by SI field name.
+    places : dict of str to str
+        Where single fields are written that stand elsewhere.
+    """
+
+    place: str
+    texts: dict[str, str]
+    places: dict[str, str] = field(default_factory=dict)
+
+    def where(self, name: str) -> str:
+        return self.places.get(name, self.place)
+
+    @property
+    def line(self) -> str:
+        """The line in words."""
+        return f"line {self.place.rpartition(':')[2]}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows and the columns that they may have.
+
+    Parameters
+    ----------
+    path : Path
+    place : str
+        ``FILE:LINE`` of the headings.
+    factors : dict of str to float
+        SI per unit of each column that is there, by SI field name.
+    rows : tuple of Row
+    decimal : str
+        Decimal sign of all numbers.
+    warnings : tuple of str
+    """
+
+    path: Path
+    place: str
+    factors: dict[str, float]
+    rows: tuple[Row, ...]
+    decimal: str
+    warnings: tuple[str, ...]
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a file, or a `FileError` that says why not."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FileError(path, f"cannot be read: {reason(error)}") from error
+
+
+def decode(path: Path, data: bytes) -> tuple[str, list[str]]:
+    """Text of a file and what was odd about its encoding."""
+    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    encoding = "utf-16" if wide else "utf-8-sig"
+    try:
+        text, odd = data.decode(encoding), []
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
+        odd = [f"{path.name}: not UTF-8; read as Windows text (cp1252)"]
+    if "\0" in text:
+        raise FileError(path, "not a text file; save the table as CSV (UTF-8)")
+    return text, odd
+
+
+def lines_of(path: Path, text: str, separator: str) -> Iterator[tuple[int, list[str]]]:
+    """Numbers and stripped fields of the lines that are not empty."""
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    before = 0
+    try:
+        for fields in reader:
+            number, lines, before = (
+                before + 1,
+                reader.line_num - before,
+                reader.line_num,
+            )
+            if lines > 1:
+                words = 'a field runs over several lines: a " is not closed'
+                raise FileError(f"{path}:{number}", words)
+            stripped = [one.strip() for one in fields]
+            if any(stripped):
+                yield number, stripped
+    except csv.Error as error:
+        raise FileError(f"{path}:{before + 1}", f"not CSV: {error}") from error
+
+
+def _known(heading: str) -> bool:
+    try:
+        return column_of(heading) is not None
+    except ValueError:
+        return True
+
+
+def _headings(path: Path, text: str) -> tuple[str, int, list[str]]:
+    """Separator, line number and headings: the first line that is no comment."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if re.fullmatch(r"sep=.?", line.strip(), re.IGNORECASE):
+            continue  # a spreadsheet's own note on the separator
+        if not line.strip(" \t,;") or line.lstrip().startswith("#"):
+            continue
+        split = {s: next(csv.reader([line], delimiter=s)) for s in SEPARATORS}
+        best = max(SEPARATORS, key=lambda s: sum(map(_known, split[s])))
+        return best, number, [one.strip() for one in split[best]]
+    raise FileError(path, "is empty; allowed: a line of headings and readings below")
+
+
+def read_table(path: Path, data: bytes) -> Table:
+    """Rows of a CSV file.
+
+    Raises
+    ------
+    FileError
+        When it is not a text file or empty.
+    MeasurementError
+        When headings are repeated or have a wrong unit, a line has too many fields,
+        or decimal points and commas are mixed.
+    """
+    text, warnings = decode(path, data)
+    separator, top, headings = _headings(path, text)
+    complaints = Complaints(path)
+    place = f"{path}:{top}"
+    fields: list[str | None] = []
+    factors: dict[str, float] = {}
+    first: dict[str, str] = {}
+    for heading in headings:
+        fields.append(None)
+        try:
+            found = column_of(heading)
+        except ValueError as error:
+            complaints.add(place, str(error))
+            continue
+        if found is None:
+            if heading:
+                warnings.append(_unknown(path, top, heading))
+            continue
+        name, factor = found
+        if name in factors:
+            complaints.add(
+                place, f"columns {first[name]!r} and {heading!r} are the same quantity"
+            )
+            continue
+        fields[-1], factors[name], first[name] = name, factor, heading
+        column = NUMBERS.get(name)
+        if column and factor != column.bench.factor:
+            warnings.append(
+                f"{path.name}:{top}: column {heading!r} is read in its own unit and "
+                f"converted to {column.unit} ({column.name})"
+            )
+    complaints.settle()
+    rows = []
+    for number, texts in lines_of(path, text, separator):
+        if number <= top:
+            continue
+        here = f"{path}:{number}"
+        beyond = [one for one in texts[len(headings) :] if one]
+        if beyond:
+            hint = "; decimal commas need semicolons or tabs between the fields"
+            complaints.add(
+                here,
+                f"{len(texts)} fields, but {len(headings)} headings; extra: "
+                f"{beyond[0]!r}" + (hint if separator == "," else ""),
+            )
+            continue
+        own = {n: t for n, t in zip(fields, texts, strict=False) if n and t}
+        for heading, known, one in zip(headings, fields, texts, strict=False):
+            if known is None and not heading and one:
+                complaints.add(here, f"{one!r} stands in a column without a heading")
+        rows.append(Row(here, own))
+    complaints.settle()
+    if not rows:
+        raise FileError(place, "no readings below the headings")
+    decimal = decimal_sign(path, rows)
+    return Table(path, place, factors, tuple(rows), decimal, tuple(warnings))
+
+
+def _unknown(path: Path, line: int, heading: str) -> str:
+    known = [*TEXTS, *(column.name for column in NUMBERS.values())]
+    near = difflib.get_close_matches(heading, known, 1, 0.75)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    return f"{path.name}:{line}: column {heading!r} is not known and left out{hint}"
+
+
+def decimal_sign(path: Path, rows: list[Row]) -> str:
+    """Decimal point or comma of a file's numbers.
+
+    Raises
+    ------
+    MeasurementError
+        When both are there: one of them may part thousands.
+    """
+    first: dict[str, tuple[str, str, str]] = {}
+    for row in rows:
+        for name, text in row.texts.items():
+            if name in NUMBERS and NUMBER.fullmatch(text):
+                for sign in ".,":
+                    if sign in text:
+                        first.setdefault(sign, (row.where(name), name, text))
+    if len(first) == 2:
+        place, name, text = first[","]
+        other = first["."]
+        complaints = Complaints(path)
+        complaints.add(
+            place,
+            f"{NUMBERS[name].name}: {text!r} has a decimal comma, but {other[2]!r} in "
+            f"line {other[0].rpartition(':')[2]} a decimal point; allowed: one of them "
+            "in a file, and no sign between thousands",
+        )
+        complaints.settle()
+    return "," if "," in first else "."

@@ -1,0 +1,232 @@
+"""Paths on every mesh, for the calibration of the discretisation error's bounds.
+
+Each solved path is one line of runs/mesh-error.jsonl; an interrupted run goes on where
+it stopped, and lines of a mesh that has changed are solved again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import astuple, dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from datagen.continuation import PathFollower, gauge
+from datagen.device import DESIGN_SPACE, MAX_PRESSURE, Design, named_device
+from datagen.mesh import COARSER, LEVELS, SKETCH, MeshLevel
+from datagen.mesh_error import bracket
+from datagen.observe import Instruments
+from datagen.problem import baseline
+from datagen.response import OUTPUT_NAMES
+
+from .refine import PRESSURES
+
+Array = np.ndarray
+Run = dict[str, Any]
+
+ROOT = FilePath(__file__).parents[1]
+RUNS = ROOT / "runs" / "mesh-error.jsonl"
+
+MESHES = (SKETCH, LEVELS["draft"], LEVELS["standard"], LEVELS["fine"])
+PUBLISHED = {f"S1, case {case}": case for case in (1, 2, 3, 4)}
+"""Solved too, at the pressures of docs/refine.py, where their answer is settled."""
+
+TRUTH = "fine"
+
+SEED, HYPERCUBE = 20_261, 100
+"""Of the designs; the reference dataset has another seed."""
+
+STEPS, SHARE = 8, 0.9
+"""Even load steps, up to this share of where the draft path ends."""
+
+BEYOND = 1.3
+"""Of the draft path's limit pressure: where the path of any mesh has turned."""
+
+
+def designs(count: int) -> dict[int | str, Design]:
+    """The published device, and the first of the random designs."""
+    found: dict[int | str, Design] = {
+        row: named_device("S1", case) for row, case in PUBLISHED.items()
+    }
+    for row, sample in enumerate(DESIGN_SPACE.sample(HYPERCUBE, SEED)[:count]):
+        values = dict(zip(DESIGN_SPACE.names, sample, strict=True))
+        found[row] = Design.from_sample(values)
+    return found
+
+
+def follow(design: Design, level: MeshLevel, targets: list[float]) -> Run:
+    """One path on one mesh: every equilibrium and the load step it leads to, SI."""
+    began = time.perf_counter()
+    problem = baseline(design, level)
+    follower = PathFollower(problem)
+    outcome = follower.run(np.array(targets), keep_all=True)
+    instruments = Instruments(problem)
+    points = [
+        [
+            step,
+            gauge(problem, point.pressure),
+            *instruments.read(point.x, point.volume - follower.first_volume).tolist(),
+        ]
+        for step, point in outcome.points
+    ]
+    limit = follower.limit and gauge(problem, follower.limit.pressure)
+    return {
+        "level": level.name,
+        "mesh": astuple(level)[1:],
+        "targets": targets,
+        "points": points,
+        "status": outcome.status,
+        "message": outcome.message,
+        "limit": limit,
+        "unknowns": follower.equations.unknowns,
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def known() -> dict[tuple[int | str, str], Run]:
+    """Solved paths by row and level; those of a mesh that has changed are left out."""
+    if not RUNS.exists():
+        return {}
+    current = {level.name: list(astuple(level)[1:]) for level in MESHES}
+    found = {}
+    for line in RUNS.read_text().splitlines():
+        run = json.loads(line)
+        if run["mesh"] == current[run["level"]]:
+            found[run["row"], run["level"]] = run
+    return found
+
+
+def targets_of(row: int | str, design: Design, runs: list[Run]) -> list[float]:
+    """Load steps of a design on every mesh, Pa: those of its first run, if any."""
+    if runs:
+        first: list[float] = runs[0]["targets"]
+        return first
+    if row in PUBLISHED:
+        return [1e3 * pressure for pressure in PRESSURES]
+    run = follow(design, LEVELS["draft"], [MAX_PRESSURE])
+    top = run["limit"] or max((point[1] for point in run["points"]), default=1e3)
+    targets = np.linspace(0, SHARE * min(top, MAX_PRESSURE), STEPS + 1)[1:]
+    if run["status"] != "completed":
+        targets = np.append(targets, BEYOND * top)
+    return [float(target) for target in targets]
+
+
+def solve_all(paths: int) -> None:
+    """Solve what is missing, one line a path."""
+    done = known()
+    RUNS.parent.mkdir(exist_ok=True)
+    for row, design in designs(paths).items():
+        for level in MESHES:
+            if (row, level.name) in done:
+                continue
+            others = [done[row, m.name] for m in MESHES if (row, m.name) in done]
+            targets = targets_of(row, design, others)
+            run = done[row, level.name] = follow(design, level, targets)
+            with RUNS.open("a") as lines:
+                lines.write(json.dumps({"row": row} | run) + "\n")
+            words = f"{run['unknowns']} unknowns, {run['seconds']:.0f} s"
+            print(f"design {row}, {level.name}: {words}, {run['status']}", flush=True)
+
+
+@dataclass(frozen=True)
+class Cases:
+    """Designs on every mesh, at their load steps.
+
+    values, largest : dict of level to (n, s, m) array, SI
+        Outputs; their largest amount on the path up to each load step.
+    limit : dict of level to (n,) array, Pa
+        NaN where there is none.
+    seconds : dict of level to (n,) array
+    """
+
+    values: dict[str, Array]
+    largest: dict[str, Array]
+    limit: dict[str, Array]
+    seconds: dict[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.limit[TRUTH])
+
+    def some(self, chosen: Array) -> Cases:
+        """Those of a mask or of indices."""
+        fields = (self.values, self.largest, self.limit, self.seconds)
+        return Cases(*({k: v[chosen] for k, v in field.items()} for field in fields))
+
+    def errors(self, level: str) -> Array:
+        """Distance from the fine mesh, (n, s, m), SI."""
+        error: Array = np.abs(self.values[level] - self.values[TRUTH])
+        return error
+
+    def brackets(self, level: str, floor: Array, alone: bool = False) -> Array:
+        """The estimate over k, (n, s, m), SI; `alone`: each load step by itself."""
+        other = COARSER[level].name
+        parts = (self.values[level], self.values[other], self.largest[other])
+        if alone:
+            shape = parts[0].shape
+            flat = (part.reshape(-1, 1, shape[2]) for part in parts)
+            return np.stack(
+                [bracket(*p, floor) for p in zip(*flat, strict=True)]
+            ).reshape(shape)
+        return np.stack([bracket(*p, floor) for p in zip(*parts, strict=True)])
+
+    def limit_errors(self, level: str) -> Array:
+        """Distance of the limit pressure from that of the fine mesh, (n,), Pa."""
+        error: Array = np.abs(self.limit[level] - self.limit[TRUTH])
+        return error
+
+    def limit_brackets(self, level: str, floor: float) -> Array:
+        """The estimate of the limit pressure's error over k, (n,), Pa."""
+        here, other = self.limit[level], self.limit[COARSER[level].name]
+        size: Array = np.abs(here - other) + floor * here
+        return size
+
+    @property
+    def scale(self) -> Array:
+        """Largest amount of every output on each path, (n, m), SI."""
+        scale: Array = np.abs(self.values[TRUTH]).max(axis=1)
+        return scale
+
+
+def _curve(run: Run) -> tuple[Array, Array]:
+    """Outputs (NaN where not reached) and their largest amount, at the load steps."""
+    steps = min(STEPS, len(run["targets"]))  # the one beyond a limit point left out
+    values = np.full((steps, len(OUTPUT_NAMES)), np.nan)
+    largest = np.zeros_like(values)
+    for step, pressure, *outputs in run["points"]:
+        if step < steps:
+            largest[step:] = np.maximum(largest[step:], np.abs(outputs))
+            if np.isclose(pressure, run["targets"][step], rtol=1e-9):
+                values[step] = outputs
+    return values, largest
+
+
+def collect(published: bool = False) -> tuple[Cases, list[str]]:
+    """Designs that are solved on every mesh, and what was left out and why."""
+    runs, chosen, left_out = known(), [], []
+    for row in PUBLISHED if published else range(HYPERCUBE):
+        on = {m.name: runs[row, m.name] for m in MESHES if (row, m.name) in runs}
+        if len(on) < len(MESHES):
+            continue
+        short = [n for n, run in on.items() if np.isnan(_curve(run)[0]).any()]
+        left_out += [f"design {row}, {n}: {on[n]['message']}" for n in short]
+        if not short:
+            chosen.append(on)
+    if not chosen:
+        return Cases({}, {}, {TRUTH: np.empty(0)}, {}), left_out
+    names = [level.name for level in MESHES]
+    curves = {n: [_curve(on[n]) for on in chosen] for n in names}
+    return (
+        Cases(
+            {n: np.stack([values for values, _ in curves[n]]) for n in names},
+            {n: np.stack([largest for _, largest in curves[n]]) for n in names},
+            {
+                n: np.array([on[n]["limit"] for on in chosen], dtype=float)
+                for n in names
+            },
+            {n: np.array([on[n]["seconds"] for on in chosen]) for n in names},
+        ),
+        left_out,
+    )

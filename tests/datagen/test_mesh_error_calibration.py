@@ -1,0 +1,78 @@
+"""The calibration of the mesh error's bounds, on numbers whose law is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from datagen.mesh import COARSER
+from datagen.response import OUTPUT_NAMES
+from docs.mesh_error import calibrate, check, quantile
+from docs.mesh_error_cases import MESHES, TRUTH, Cases
+
+NONE = Cases({}, {}, {TRUTH: np.empty(0)}, {})
+
+
+def drawn(count: int, seed: int) -> Cases:
+    """Paths on meshes whose errors shrink by random factors from one to the next."""
+    rng = np.random.default_rng(seed)
+    load = np.linspace(0.125, 1, 8)[:, None]
+    shape = (count, 1, len(OUTPUT_NAMES))
+    truth = rng.uniform(1, 2, shape) * np.sqrt(load)
+    share = 0.1 * rng.lognormal(0.0, 0.5, shape)
+    values, limit = {}, {}
+    for level in MESHES:
+        values[level.name] = truth * (1 + share)
+        limit[level.name] = 1e5 * (1 + share[:, 0, 0])
+        share = share * rng.uniform(-0.5, 0.5, shape)
+    values[TRUTH], limit[TRUTH] = truth, np.full(count, 1e5)
+    largest = {name: np.abs(value) for name, value in values.items()}
+    return Cases(values, largest, limit, {name: np.ones(count) for name in values})
+
+
+def test_the_quantile_is_the_conformal_one() -> None:
+    scores = np.arange(1.0, 40.0)  # 39 of them: ceil(40 x 0.95) = 38
+    assert quantile(scores) == 38
+    # Too few, of logarithms 0 and 2: m + t s sqrt(1 + 1/n), t(0.95, 1) = 6.3138.
+    few = np.exp([0.0, 2.0])
+    assert np.log(quantile(few)) == pytest.approx(1 + 6.3138 * np.sqrt(3), rel=1e-4)
+    assert quantile(np.array([3.0, 3.0, 3.0])) == pytest.approx(3)
+    assert quantile(np.stack([scores, 2 * scores], axis=1)).tolist() == [38, 76]
+
+
+def test_the_bound_holds_on_paths_that_it_has_not_seen() -> None:
+    for level in ("draft", "standard"):
+        found = calibrate(drawn(60, 1), level, NONE)
+        assert found.turned == 60
+        fresh = drawn(2000, 2)
+        own = found.factors
+        bound = own.factor * fresh.brackets(level, own.floor)
+        held = (fresh.errors(level) <= bound).all(axis=1).mean(axis=0)
+        assert (held > 0.9).all()
+        assert (held < 1.0).all()
+        limits = own.limit_factor * fresh.limit_brackets(level, own.limit_floor)
+        assert 0.9 < (fresh.limit_errors(level) <= limits).mean() < 1.0
+        told = check(drawn(400, 3), level, NONE)
+        assert (np.abs(told["paths"] - 0.95) < 0.04).all()
+
+
+def test_the_published_device_is_never_out_of_its_bound() -> None:
+    cases, published = drawn(60, 1), drawn(3, 4)
+    for level in ("draft", "standard"):
+        published.values[level][0] *= 1.5
+        own = calibrate(cases, level, published).factors
+        bound = own.factor * published.brackets(level, own.floor)
+        assert (published.errors(level) <= bound * (1 + 1e-12)).all()
+        without = calibrate(cases, level, NONE).factors
+        bound = without.factor * published.brackets(level, without.floor)
+        assert (published.errors(level) > bound).any()
+
+
+def test_a_floor_is_taken_where_two_meshes_agree_by_accident() -> None:
+    cases = drawn(60, 1)
+    other = COARSER["standard"].name
+    cases.values[other][:] = cases.values["standard"]
+    own = calibrate(cases, "standard", NONE).factors
+    bound = own.factor * cases.brackets("standard", own.floor)
+    held = (cases.errors("standard") <= bound).all(axis=1).mean(axis=0)
+    assert (held >= 0.9).all()
