@@ -37,7 +37,7 @@ from .trial import (
 
 Array = np.ndarray
 
-DEPARTURES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+DEPARTURES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 """Of the way from off to the end of the range; the effect has to fade from one to the
 next.  The first two tell for most; an effect that is saturated there, as a support a
 thousand times softer than the body, is followed closer to off.  A jump stays a jump."""
