@@ -181,6 +181,11 @@ class Sensitivity:
             jacobian[:, k] = (after - values) / direction.step
         return jacobian
 
+    def set_time(self, time: float) -> None:
+        """Let every problem ahead be swollen as it is at a time, s."""
+        for ahead in self._ahead:
+            ahead.set_time(time)
+
     def keep(self, point: Point, dt: float) -> None:
         """Let the step that led to a visited point be part of the laws' history."""
         if not self.has_history:
