@@ -476,6 +476,10 @@ class Study:
                 step = self._load(c, names)[2][s]
                 by = answer.by.index(prior.parameter.name)
                 slopes[i, k] = answer.jacobian[step, column, by] * prior.slope(t[k])
+        if names:  # next to a limit point there are no derivatives: the baseline's
+            fields = np.where(np.isfinite(fields), fields, self._nodes[(), ()].fields)
+        else:
+            fields = np.nan_to_num(fields)
         failed = tuple(
             f"device {self.measurements.curves[c].device}: {one.status} {one.message}"
             for c, one in enumerate(solved)
