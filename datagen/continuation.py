@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from .chart import Chart, Point, expected_stress, extrapolate
-from .control import Counters, Options, Outcome, StepFailed
+from .control import Counters, Options, Outcome, StepFailed, legs
 from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
 from .linear import NotDefinite
 from .loading import loading_direction
@@ -38,9 +38,6 @@ Array = np.ndarray
 
 REST = 1e9
 """Time for which a body has rested before the path begins, s: some thirty years."""
-
-TURNED = 0.3
-"""First step after the pressure has turned over the last one before, with memory."""
 
 
 class PathFollower:
@@ -71,6 +68,9 @@ class PathFollower:
         if directions:
             assert isinstance(problem, Problem), "outputs are those of a device"
             self._sensitivity = Sensitivity(problem, directions, self.workspace)
+        laws = [law for one in directions for law in one.problem.laws]
+        fades = any(getattr(law, "fades", False) for law in (*problem.laws, *laws))
+        self._parts = self.options.fading_parts if fades else 1
         self._remembers = any(law.history_size for law in problem.laws) or (
             self._sensitivity is not None and self._sensitivity.has_history
         )
@@ -445,7 +445,7 @@ class PathFollower:
         self._heading, self._last = heading, [self.point]
         if self._remembers:
             self._before = None
-            self._step *= TURNED
+            self._step *= self.options.turned
 
     def _critical(self, predicted: float) -> bool:
         """True at a point where stability is lost and the path does not go on smoothly.
@@ -512,10 +512,11 @@ class PathFollower:
         self._keep_all = keep_all
         self._past_limits = far_enough is not None
         times = np.arange(1.0, len(targets) + 1) if times is None else times
-        for i, wanted in enumerate(targets):
-            target = problem.pressure_gain * float(wanted) + problem.pressure_offset
-            self._clock = float(times[i - 1] if i else min(0.0, times[0] - 1.0))
-            self._due = float(times[i])
+        self._due = min(0.0, float(times[0]) - 1.0)
+        now = (gauge(problem, self.point.pressure), self._due)
+        for i, wanted, time, whole in legs(targets, times, now, self._parts):
+            target = problem.pressure_gain * wanted + problem.pressure_offset
+            self._clock, self._due = self._due, time
             held = target == self.point.pressure
             try:
                 if held and (self._remembers or self._swells):
@@ -526,7 +527,8 @@ class PathFollower:
                 words = f"{failure.detail}, held at {self._at()}"
                 return self._end(outcome, failure.status, words)
             if held:
-                outcome.keep(i, self.point)
+                if whole:
+                    outcome.keep(i, self.point)
                 continue
             rising = (target > self.point.pressure) == (self.point.slope > 0)
             self._turn(1.0 if rising else -1.0)
@@ -555,7 +557,7 @@ class PathFollower:
                 if problem.mesh.touching(self.point.x):
                     words = f"roof and floor touch at {self._at()}"
                     return self._end(outcome, "contact", words)
-                if reached or keep_all or self.limit is not None:
+                if (reached and whole) or keep_all or self.limit is not None:
                     outcome.keep(i, self.point)
                 if reached:
                     break

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from .chart import Point
+
+Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,11 @@ class Options:
         Of one step over the one before.
     max_steps : int
         Steps of one path.
+    turned : float
+        First step after the pressure has turned, with memory, over the one before.
+    fading_parts : int
+        Parts of a load step where a law fades with time, an equilibrium at the end of
+        each: the memory is of second order in time, see `history.convolve`.
     """
 
     tolerance: float = 3e-9
@@ -60,6 +70,8 @@ class Options:
     smallest_step: float = 1e-4
     largest_growth: float = 3.0
     max_steps: int = 400
+    turned: float = 0.3
+    fading_parts: int = 2
 
 
 @dataclass
@@ -76,6 +88,28 @@ class Outcome:
     def end(self, status: str, message: str) -> Outcome:
         self.status, self.message = status, message
         return self
+
+
+def legs(
+    targets: Array, times: Array, now: tuple[float, float], parts: int
+) -> Iterator[tuple[int, float, float, bool]]:
+    """Parts of load steps in turn: number, pressure and time at the end, whether whole.
+
+    Parameters
+    ----------
+    targets, times : (s,) arrays, Pa and s
+    now : (float, float)
+        Pressure and time at which the first load step begins.
+    parts : int
+        Of each load step; its last one is whole.
+    """
+    pressure, time = now
+    for i, (wanted, due) in enumerate(zip(targets, times, strict=True)):
+        for share in np.arange(1, parts) / parts:
+            part = pressure + share * (wanted - pressure)
+            yield i, float(part), float(time + share * (due - time)), False
+        pressure, time = float(wanted), float(due)
+        yield i, pressure, time, True
 
 
 class StepFailed(ArithmeticError):

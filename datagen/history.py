@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numba import njit
@@ -67,6 +67,9 @@ class Viscoelastic:
     weights: tuple[float, ...]
     times: tuple[float, ...]
 
+    fades: ClassVar[bool] = True
+    """Asks the path follower for short steps in time."""
+
     @property
     def history_size(self) -> int:
         return self.law.history_size + 6 * (1 + len(self.weights))
@@ -115,6 +118,11 @@ class Mullins:
     law: Stored
     softening: float
     width: float
+
+    @property
+    def fades(self) -> bool:
+        """True where the wrapped law does, see `Viscoelastic`."""
+        return getattr(self.law, "fades", False)
 
     @property
     def history_size(self) -> int:
