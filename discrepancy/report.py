@@ -23,7 +23,16 @@ from .evidence import Fit
 from .figures import Figure
 from .rank import PAIRS, PARTNERS, Candidate, Ranking
 from .study import Study
-from .words import in_words, log_odds, percent, quantity_axis, sizes, ties, verdict
+from .words import (
+    INSIDE,
+    in_words,
+    log_odds,
+    percent,
+    quantity_axis,
+    sizes,
+    ties,
+    verdict,
+)
 
 CONTENT_SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -39,9 +48,12 @@ PANELS = 12
 SIGNATURES = 4
 """Candidates whose signatures are drawn."""
 
-FIRST, LEAST = 5, 1e-3
+FIRST, LEAST = 6, 1e-3
 """Candidates that are shown with their numbers: the first ones, and those above a
 probability."""
+
+NONE = "\u2013"
+"""What stands in a cell that has nothing to say."""
 
 _DRAW = """
 for (const place of document.querySelectorAll("figure > div[data-figure]")) {
@@ -202,22 +214,18 @@ def _head(
 
 
 def _candidates(study: Study, ranking: Ranking) -> Iterator[str]:
-    tie = ranking.verdict == "tied"
     shown: list[Candidate] = []
     rest: list[Candidate] = []
     for i, one in enumerate(ranking.candidates):
         known = i < FIRST or one.name == "nothing" or ties(ranking, one)
         (shown if known or one.probability > LEAST else rest).append(one)
-    heads = (
-        "Explanation",
-        "Probability",
-        "Size and 90 % interval",
-        "Held-out error",
-        *(["Tied with"] if tie else []),
-    )
-    rows = [_row(study, ranking, one)[: len(heads)] for one in shown]
     yield _heading("Candidates")
-    yield _table(heads, rows, numbers=(1, 3))
+    heads = "".join(
+        f"<th{' class=number' if head in _NUMBERS else ''}>{escape(head)}</th>"
+        for head in _HEADS
+    )
+    bodies = "\n".join(_body(ranking, one) for one in shown)
+    yield f"<table>\n<thead><tr>{heads}</tr></thead>\n{bodies}\n</table>"
     if rest:
         names = ", ".join(in_words(one.name) for one in rest)
         yield _paragraph(f"Judged, each below {100 * LEAST:g} %: {names}.", "muted")
@@ -227,27 +235,60 @@ def _candidates(study: Study, ranking: Ranking) -> Iterator[str]:
         'out for the most probable and for "nothing missing".',
         "muted",
     )
+    named = dict.fromkeys(name for one in shown for name in one.effects)
+    told = [(name, study.effects[name]) for name in named if name in study.effects]
+    if told:
+        rows = [(escape(n), escape(_first(effect.doc))) for n, effect in told]
+        yield _table(("Effect", "What it is"), rows, kind="named")
 
 
-def _row(study: Study, ranking: Ranking, one: Candidate) -> list[str]:
-    known = [name for name in one.effects if name in study.effects]
-    told = [study.effects[name].doc.split("\n\n")[0] for name in known]
+_HEADS = (
+    "Explanation",
+    "Probability",
+    "Held-out error",
+    "Parameter",
+    "Value \u00b1 std",
+    "90 % interval",
+    "Literature range",
+)
+_NUMBERS = _HEADS[1:3]
+
+
+def _body(ranking: Ranking, one: Candidate) -> str:
+    """Rows of one candidate, one for each of its parameters."""
     name = f"<strong>{escape(in_words(one.name))}</strong>"
-    name += "".join(f"<br>{_small(text)}" for text in told)
-    numbers = [
-        f"{escape(size.name if len(known) > 1 else size.short)} "
-        f"<strong>{escape(size.number)}</strong>, {escape(size.interval)}<br>"
-        f"{_small(size.judgement)}"
-        for size in sizes(one)
-    ]
+    tied = ", ".join(in_words(other) for other in ties(ranking, one))
+    name += f"<br>{_small(f'tied with {tied}')}" if tied else ""
+    odds = escape(percent(one.probability))
+    if one is not ranking.best:
+        odds += f"<br>{_small(log_odds(ranking, one))}"
     error = one.heldout_error
-    return [
-        name,
-        f"{escape(percent(one.probability))}<br>{_small(log_odds(ranking, one))}",
-        "<br>".join(numbers) or "\u2013",
-        f"{error:.2f}" if math.isfinite(error) else "\u2013",
-        escape(", ".join(in_words(other) for other in ties(ranking, one))) or "\u2013",
+    left = f"{error:.2f}" if math.isfinite(error) else NONE
+    rows = [
+        (
+            escape(size.name if len(one.effects) > 1 else size.short),
+            f"<strong>{escape(size.number)}</strong>",
+            escape(size.interval),
+            escape(size.range)
+            + ("" if size.plausibility == INSIDE else f"<br>{escape(size.remark)}"),
+        )
+        for size in sizes(one)
+    ] or [(NONE,) * 4]
+    span = f' rowspan="{len(rows)}"'
+    cells = [
+        "".join(f"<td>{cell}</td>" for cell in row)  # HTML already
+        for row in rows
     ]
+    cells[0] = (
+        f'<td{span}>{name}</td><td class="number"{span}>{odds}</td>'
+        f'<td class="number"{span}>{left}</td>{cells[0]}'
+    )
+    return f"<tbody>{''.join(f'<tr>{row}</tr>' for row in cells)}</tbody>"
+
+
+def _first(doc: str) -> str:
+    """First paragraph of a docstring, on one line."""
+    return " ".join(doc.split("\n\n")[0].split())
 
 
 def _small(text: str) -> str:
@@ -422,5 +463,5 @@ def _versions(study: Study, seed: int) -> Iterator[str]:
     yield _table(
         ("What", "Which"),
         [(escape(what), f"<code>{escape(which)}</code>") for what, which in rows],
-        kind="versions",
+        kind="named",
     )

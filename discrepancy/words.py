@@ -88,7 +88,7 @@ def percent(probability: float) -> str:
         return "below 0.1 %"
     if probability > 0.999:
         return "above 99.9 %"
-    digits = 1 if min(probability, 1 - probability) < 0.1 else 0
+    digits = 1 if min(probability, 1 - probability) < 0.095 else 0
     return f"{100 * probability:.{digits}f} %"
 
 
@@ -160,15 +160,19 @@ class Size:
         return f"{self.lower:.4g} to {self.upper:.4g}{self._unit}"
 
     @property
-    def judgement(self) -> str:
-        """The size against its range, in words."""
+    def remark(self) -> str:
+        """The size against its literature range, without naming the range."""
         return {
-            INSIDE: f"plausible: inside the literature range, {self.range}",
-            OPEN: f"its interval reaches the end of the literature range, {self.range}:"
-            " a size beyond it is not excluded",
-            BEYOND: f"implausible: the readings ask for more than the literature range,"
-            f" {self.range}, allows",
+            INSIDE: "plausible: inside the literature range",
+            OPEN: "not excluded: a size beyond the literature range",
+            BEYOND: "implausible: the readings ask for more than the literature range "
+            "allows",
         }[self.plausibility]
+
+    @property
+    def judgement(self) -> str:
+        """The size against its literature range, in words."""
+        return f"{self.remark} ({self.range})"
 
 
 def sizes(candidate: Candidate) -> tuple[Size, ...]:
