@@ -8,7 +8,6 @@ quantity, named by the number of its group of readings (`Study.kinds`).
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -16,6 +15,24 @@ from typing import Any
 import numpy as np
 
 from .bands import MARGIN, calibrated_band
+from .charts import (
+    BASELINE,
+    BEST,
+    COLOURS,
+    DASHES,
+    DIVERGING,
+    INK,
+    MUTED,
+    PAPER,
+    SEQUENTIAL,
+    axis,
+    band,
+    layout_of,
+    note,
+    panels,
+    plain,
+    suffix,
+)
 from .evidence import Fit
 from .measurement import UNLOADING
 from .rank import Candidate, Ranking
@@ -25,138 +42,11 @@ from .words import in_words, load_axis, log_odds, percent, quantity_axis, sizes,
 Array = np.ndarray
 Figure = dict[str, Any]
 
-INK, MUTED, GRID, PAPER = "#1f2a37", "#5b6875", "#e3e8ee", "#ffffff"
-COLOURS = ("#0b5fa5", "#b3541e", "#2e7d4f", "#7a4fa3", "#8a6d00", "#5b6875")
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
-"""Told apart by lightness and by dashes too, for colour-blind eyes and for print."""
-
-BASELINE, BEST = COLOURS[1], COLOURS[0]
-
-DIVERGING = [
-    [0.0, "#08427a"],
-    [0.25, "#5d9bcf"],
-    [0.5, "#f7f7f7"],
-    [0.75, "#e0955f"],
-    [1.0, "#8c3a0e"],
-]
-"""Blue below, white at 0, orange above: safe for all common colour blindness."""
-
-SEQUENTIAL = [[0.0, "#ffffff"], [0.5, "#7fb2dd"], [1.0, "#08427a"]]
-
-FONT = {"family": "system-ui, sans-serif", "size": 12, "color": INK}
-
-PANEL, GAP, COLUMNS = 165, 46, 3
-"""px.  Height of a panel and what lies between two; panels side by side."""
-
 ROW, NUMBERED = 26, 14
 """px.  Height of a row of a map; most cells of a row that have room for numbers."""
 
 SHOWN, LEAST = 12, 1e-3
 """Most hypotheses in the ranking's bars, and the probability that others need."""
-
-
-# -- parts of every figure -------------------------------------------------------------
-
-
-def _text(text: str) -> str:
-    """Text that Plotly shows as it is: it takes some HTML in names."""
-    return html.escape(text, quote=False)
-
-
-def _layout(title: str, height: float, top: float = 64) -> dict[str, Any]:
-    return {
-        "title": {
-            "text": title,
-            "x": 0,
-            "xref": "container",
-            "y": 1,
-            "yref": "container",
-            "yanchor": "top",
-            "pad": {"t": 8, "l": 4},
-            "font": FONT | {"size": 14},
-        },
-        "height": height,
-        "font": FONT,
-        "paper_bgcolor": PAPER,
-        "plot_bgcolor": PAPER,
-        "hoverlabel": {"font": FONT, "bgcolor": PAPER},
-        "margin": {"l": 62, "r": 14, "t": top, "b": 48},
-    }
-
-
-def _axis(title: str = "", **more: Any) -> dict[str, Any]:
-    axis = {
-        "gridcolor": GRID,
-        "linecolor": MUTED,
-        "ticks": "outside",
-        "ticklen": 3,
-        "tickcolor": MUTED,
-        "zeroline": False,
-    }
-    if title:
-        axis["title"] = {"text": title, "standoff": 6}
-    return axis | more
-
-
-def _suffix(index: int) -> str:
-    return "" if index == 0 else str(index + 1)
-
-
-def _note(text: str, x: float, y: float, **more: Any) -> dict[str, Any]:
-    return {
-        "text": text,
-        "x": x,
-        "y": y,
-        "xref": "paper",
-        "yref": "paper",
-        "showarrow": False,
-        "xanchor": "left",
-        "yanchor": "bottom",
-        "font": FONT,
-    } | more
-
-
-def _faint(colour: str) -> str:
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({red},{green},{blue},0.22)"
-
-
-def _panels(
-    title: str, names: Sequence[str], x: str, y: str, shared: bool = False
-) -> dict[str, Any]:
-    """Layout of a panel for each name, `COLUMNS` side by side.
-
-    With `shared`, all panels have the first one's range up and down.
-    """
-    count = len(names)
-    columns = min(count, COLUMNS)
-    rows = math.ceil(count / columns)
-    inner = rows * PANEL + (rows - 1) * GAP
-    layout = _layout(title, inner + 130, top=82)
-    layout["legend"] = {"orientation": "h", "x": 0, "y": 1 + 22 / inner}
-    layout["legend"] |= {"yanchor": "bottom"}
-    layout["annotations"] = []
-    wide = (1 - 0.075 * (columns - 1)) / columns
-    for i, name in enumerate(names):
-        row, column = divmod(i, columns)
-        left = column * (wide + 0.075)
-        top = 1 - row * (PANEL + GAP) / inner
-        last = i + columns >= count
-        layout[f"xaxis{_suffix(i)}"] = _axis(
-            x if last else "",
-            domain=[left, min(left + wide, 1.0)],
-            anchor=f"y{_suffix(i)}",
-        )
-        layout[f"yaxis{_suffix(i)}"] = _axis(
-            y if column == 0 else "",
-            domain=[max(top - PANEL / inner, 0.0), top],
-            anchor=f"x{_suffix(i)}",
-            zeroline=True,
-            zerolinecolor=MUTED,
-            **({"matches": "y"} if shared and i else {}),
-        )
-        layout["annotations"].append(_note(f"<b>{_text(name)}</b>", left, top))
-    return layout
 
 
 def _curves(study: Study, group: int, device: int) -> list[Array]:
@@ -200,23 +90,6 @@ def _curve_name(study: Study, at: Array) -> str:
     return ", ".join(parts)
 
 
-def _band(
-    x: Array, low: Array, high: Array, colour: str, axes: dict[str, str]
-) -> list[dict[str, Any]]:
-    edge = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": x.tolist(),
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-        "showlegend": False,
-    } | axes
-    return [
-        edge | {"y": low.tolist()},
-        edge | {"y": high.tolist(), "fill": "tonexty", "fillcolor": _faint(colour)},
-    ]
-
-
 # -- the figures -----------------------------------------------------------------------
 
 
@@ -249,17 +122,19 @@ def overlay(
     """
     y, x = quantity_axis(study, group), load_axis(study, group)
     names = _chosen(study, group, devices)
-    layout = _panels(f"{y.title}: measured and predicted", names, x.label, y.label)
     load = loads(study) / x.factor
     down = _unloading(study)
     lines = [("Baseline, calibrated", "dash", BASELINE, baseline)]
     if best is not None and best.hypothesis.name != baseline.hypothesis.name:
         label = f"With {in_words(best.hypothesis.name)}"
         lines.append((label, "solid", BEST, best))
+    title = f"{y.title}: measured and predicted"
+    labels = [label for label, *_ in lines]
+    layout = panels(title, names, x.label, y.label, [*labels, "Measured"])
     known = [(fit.predict(), *calibrated_band(fit)) for *_, fit in lines]
     data: list[dict[str, Any]] = []
     for i, name in enumerate(names):
-        axes = {"xaxis": f"x{_suffix(i)}", "yaxis": f"y{_suffix(i)}"}
+        axes = {"xaxis": f"x{suffix(i)}", "yaxis": f"y{suffix(i)}"}
         device = study.measurements.devices.index(name)
         for j, at in enumerate(_curves(study, group, device)):
             first = i == 0 and j == 0
@@ -267,7 +142,7 @@ def overlay(
                 lines, known, strict=True
             ):
                 ends = (low[at] / y.factor, high[at] / y.factor)
-                data += _band(load[at], *ends, colour, axes)
+                data += band(load[at], *ends, colour, axes)
                 data.append(
                     {
                         "type": "scatter",
@@ -275,11 +150,11 @@ def overlay(
                         "x": load[at].tolist(),
                         "y": (value[at] / y.factor).tolist(),
                         "line": {"color": colour, "width": 1.8, "dash": dash},
-                        "name": _text(label),
+                        "name": plain(label),
                         "legendgroup": label,
                         "showlegend": first,
                         "hovertemplate": f"%{{y:.4g}} {y.unit}"
-                        f"<extra>{_text(label)}</extra>",
+                        f"<extra>{plain(label)}</extra>",
                     }
                     | axes
                 )
@@ -336,7 +211,7 @@ def residual_map(study: Study, baseline: Fit) -> Figure:
     load = loads(study)
     high = {g: max(ROW * len(rows[g]), 60) for g in groups}
     inner = sum(high.values()) + 84 * (len(high) - 1)
-    layout = _layout("Where the baseline fails: measured less predicted", inner + 112)
+    layout = layout_of("Where the baseline fails: measured less predicted", inner + 112)
     layout["margin"]["t"] = 62
     layout["annotations"] = []
     layout["coloraxis"] = {
@@ -355,24 +230,24 @@ def residual_map(study: Study, baseline: Fit) -> Figure:
         x = load_axis(study, g)
         bottom = top - high[g] / inner
         labels = [label for label, _ in rows[g]]
-        layout[f"xaxis{_suffix(g)}"] = _axis(
-            x.label, anchor=f"y{_suffix(g)}", showgrid=False
+        layout[f"xaxis{suffix(g)}"] = axis(
+            x.label, anchor=f"y{suffix(g)}", showgrid=False
         )
-        layout[f"yaxis{_suffix(g)}"] = _axis(
+        layout[f"yaxis{suffix(g)}"] = axis(
             domain=[max(bottom, 0.0), top],
-            anchor=f"x{_suffix(g)}",
+            anchor=f"x{suffix(g)}",
             range=[len(labels) - 0.5, -0.5],
             tickvals=list(range(len(labels))),
-            ticktext=[_text(label) for label in labels],
+            ticktext=[plain(label) for label in labels],
             showgrid=False,
             automargin=True,
         )
         title = f"<b>{quantity_axis(study, g).title}</b>"
-        layout["annotations"].append(_note(title, 0, top))
+        layout["annotations"].append(note(title, 0, top))
         for i, (label, at) in enumerate(rows[g]):
             data.append(
                 _strip(load[at] / x.factor, residual[at], i, label, x.unit)
-                | {"xaxis": f"x{_suffix(g)}", "yaxis": f"y{_suffix(g)}"}
+                | {"xaxis": f"x{suffix(g)}", "yaxis": f"y{suffix(g)}"}
             )
         top = bottom - 84 / inner
     return {"data": data, "layout": layout}
@@ -413,7 +288,7 @@ def _strip(x: Array, z: Array, row: int, label: str, unit: str) -> dict[str, Any
         "texttemplate": "%{z:.1f}" if len(place) <= NUMBERED else "",
         "textfont": {"size": 10},
         "hovertemplate": f"%{{customdata:.4g}} {unit}: %{{z:.2f}}"
-        f"<extra>{_text(label)}</extra>",
+        f"<extra>{plain(label)}</extra>",
     }
 
 
@@ -442,14 +317,15 @@ def signatures(
     x = load_axis(study, group)
     names = _chosen(study, group, devices)
     title = f"{quantity_axis(study, group).title}: what each candidate would explain"
-    layout = _panels(title, names, x.label, "Change (noise std)", shared=True)
+    legend = [*(in_words(one.name) for one in candidates), "Measured less baseline"]
+    layout = panels(title, names, x.label, "Change (noise std)", legend, shared=True)
     load = loads(study) / x.factor
     start, noise = baseline.predict(), baseline.noise
     residual = (study.readings.value - start) / noise
     changes = [(one.fit.predict() - start) / noise for one in candidates]
     data: list[dict[str, Any]] = []
     for i, name in enumerate(names):
-        axes = {"xaxis": f"x{_suffix(i)}", "yaxis": f"y{_suffix(i)}"}
+        axes = {"xaxis": f"x{suffix(i)}", "yaxis": f"y{suffix(i)}"}
         device = study.measurements.devices.index(name)
         for j, at in enumerate(_curves(study, group, device)):
             common = {"x": load[at].tolist(), "showlegend": i == 0 and j == 0} | axes
@@ -463,10 +339,10 @@ def signatures(
                         "mode": "lines",
                         "y": change[at].tolist(),
                         "line": {"color": colour, "width": 1.8, "dash": dash},
-                        "name": _text(in_words(one.name)),
+                        "name": plain(in_words(one.name)),
                         "legendgroup": one.name,
                         "hovertemplate": "%{y:.2f}"
-                        f"<extra>{_text(in_words(one.name))}</extra>",
+                        f"<extra>{plain(in_words(one.name))}</extra>",
                     }
                 )
             data.append(
@@ -500,12 +376,12 @@ def ranking_bars(ranking: Ranking) -> Figure:
     ][:SHOWN]
     hover = []
     for one in shown:
-        lines = [f"<b>{_text(in_words(one.name))}</b>"]
+        lines = [f"<b>{plain(in_words(one.name))}</b>"]
         lines.append(
             f"probability {percent(one.probability)}, {log_odds(ranking, one)}"
         )
         lines += [
-            _text(f"{size.name} {size.number}, 90 % {size.interval}")
+            plain(f"{size.name} {size.number}, 90 % {size.interval}")
             for size in sizes(one)
         ]
         if math.isfinite(one.heldout_error):
@@ -513,7 +389,7 @@ def ranking_bars(ranking: Ranking) -> Figure:
         tied = ties(ranking, one)
         if tied:
             others = ", ".join(in_words(name) for name in tied)
-            lines.append(_text(f"tied with {others}"))
+            lines.append(plain(f"tied with {others}"))
         hover.append("<br>".join(lines))
     trace = {
         "type": "bar",
@@ -538,14 +414,14 @@ def ranking_bars(ranking: Ranking) -> Figure:
             },
         },
     }
-    layout = _layout("How probable each explanation is", 92 + 28 * len(shown), top=40)
+    layout = layout_of("How probable each explanation is", 92 + 28 * len(shown), top=40)
     layout["margin"]["r"] = 90
     layout["bargap"] = 0.3
-    layout["xaxis"] = _axis("Probability (%)", range=[0, 100])
-    layout["yaxis"] = _axis(
+    layout["xaxis"] = axis("Probability (%)", range=[0, 100])
+    layout["yaxis"] = axis(
         range=[len(shown) - 0.5, -0.5],
         tickvals=list(range(len(shown))),
-        ticktext=[_text(in_words(one.name)) for one in shown],
+        ticktext=[plain(in_words(one.name)) for one in shown],
         automargin=True,
         showgrid=False,
     )
@@ -560,12 +436,12 @@ def _bar_colour(ranking: Ranking, one: Candidate) -> str:
 
 def confusion_matrix(ranking: Ranking) -> Figure:
     """How often readings like these would be given to the right hypothesis, percent."""
-    names = [_text(in_words(name)) for name in ranking.confused]
+    names = [plain(in_words(name)) for name in ranking.confused]
     share = 100 * np.asarray(ranking.confusion)
     places = list(range(len(names)))
-    layout = _layout("Could these readings tell the explanations apart?", 0, top=40)
+    layout = layout_of("Could these readings tell the explanations apart?", 0, top=40)
     layout["height"] = 150 + 30 * len(names) + 40
-    layout["xaxis"] = _axis(
+    layout["xaxis"] = axis(
         "this would be named",
         tickvals=places,
         ticktext=names,
@@ -573,7 +449,7 @@ def confusion_matrix(ranking: Ranking) -> Figure:
         showgrid=False,
         automargin=True,
     )
-    layout["yaxis"] = _axis(
+    layout["yaxis"] = axis(
         "If this were true,",
         range=[len(names) - 0.5, -0.5],
         tickvals=places,
