@@ -8,6 +8,7 @@ the model's mesh; what an effect changes is solved on a faster one and added.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -166,6 +167,7 @@ class Study:
     ) -> None:
         self.measurements, self.solver = measurements, solver
         self.level, self.fast = level, fast
+        self.folder = effects_dir
         self.effects_dir = str(effects_dir) if effects_dir is not None else None
         known = catalogue(effects_dir)
         for name in effects or ():
@@ -177,9 +179,21 @@ class Study:
         self.effects: dict[str, Effect] = dict(chosen)
         self._known = known
         self.warnings: list[str] = []
-        self._cells = self._measured()
+        self.cells = self._measured()
         self._nodes: dict[tuple[tuple[str, ...], tuple[float, ...]], Node] = {}
+        self._present: dict[tuple[str, ...], tuple[int, Present]] = {}
         self._read()
+
+    def with_readings(self, readings: Readings) -> Study:
+        """The same solves under other readings of the same curves."""
+        if len(readings.value) != len(self.readings.value):
+            raise InputError(
+                "readings", len(readings.value), "as many as were measured"
+            )
+        other = copy(self)
+        other.__dict__.pop("_shapes", None)
+        other.readings = readings
+        return other
 
     # -- readings ------------------------------------------------------------------
 
@@ -199,13 +213,13 @@ class Study:
         values, _ = self._gather((), fine)
         quick, _ = self._gather((), fast)
         there = np.isfinite(values) & np.isfinite(quick)
-        lost = sorted({self._cells[i][0] for i in np.flatnonzero(~there)})
+        lost = sorted({self.cells[i][0] for i in np.flatnonzero(~there)})
         for c in lost:
             curve = self.measurements.curves[c]
-            count = sum(1 for i in np.flatnonzero(~there) if self._cells[i][0] == c)
+            count = sum(1 for i in np.flatnonzero(~there) if self.cells[i][0] == c)
             self.warnings.append(
-                f"device {curve.device}, run {curve.run}: {count} readings are past the "
-                "end of the baseline's path and are left out"
+                f"device {curve.device}, run {curve.run}: {count} readings are past "
+                "the end of the baseline's path and are left out"
             )
         if not there.any():
             raise InputError(
@@ -213,7 +227,7 @@ class Study:
                 "all of them",
                 "pressures that the baseline reaches: its path ends before the first",
             )
-        self._cells = [one for one, ok in zip(self._cells, there, strict=True) if ok]
+        self.cells = [one for one, ok in zip(self.cells, there, strict=True) if ok]
         self.shift = (values - quick)[there]
         self.readings = self._readings()
         off: tuple[str, ...] = ()
@@ -240,11 +254,11 @@ class Study:
         }
         names = list(self.measurements.devices)
         size: dict[tuple[int, int], float] = {}
-        for c, _, m in self._cells:
+        for c, _, m in self.cells:
             if (c, m) not in size:
                 column = np.abs(curves[c].values[:, m])
                 size[c, m] = float(np.nanmax(column)) or 1.0
-        for c, s, m in self._cells:
+        for c, s, m in self.cells:
             curve = curves[c]
             kind = (curve.specimen, curve.outputs[m])
             groups.append(kinds.setdefault(kind, len(kinds)))
@@ -428,10 +442,10 @@ class Study:
         self, names: tuple[str, ...], solved: Sequence[Solved]
     ) -> tuple[Array, Array]:
         """(n,) values and (n, 4) derivatives by `FIELDS` of all readings."""
-        n = len(self._cells)
+        n = len(self.cells)
         values, fields = np.empty(n), np.zeros((n, len(FIELDS)))
         places = {}
-        for i, (c, s, m) in enumerate(self._cells):
+        for i, (c, s, m) in enumerate(self.cells):
             curve, answer = self.measurements.curves[c], solved[c]
             if c not in places:
                 places[c] = self._load(c, names)[2]
@@ -452,9 +466,9 @@ class Study:
     ) -> Node:
         values, fields = self._gather(names, solved)
         priors = self.priors(names)
-        slopes = np.full((len(self._cells), len(priors)), np.nan)
+        slopes = np.full((len(self.cells), len(priors)), np.nan)
         for k, prior in enumerate(priors):
-            for i, (c, s, m) in enumerate(self._cells):
+            for i, (c, s, m) in enumerate(self.cells):
                 answer = solved[c]
                 if prior.parameter.name not in answer.by:
                     continue
@@ -526,11 +540,11 @@ class Study:
 
     @cached_property
     def _places(self) -> tuple[list[list[tuple[int, int, float]]], int]:
-        """(column, field or -1 for the value, factor) of each reading's calibrations."""
+        """(column, field or -1 for the value, factor) of calibrations, by reading."""
         known: dict[tuple[object, ...], int] = {}
         allowed = self.measurements.tolerances
         found = []
-        for c, _, m in self._cells:
+        for c, _, m in self.cells:
             curve, places = self.measurements.curves[c], []
             for layer, modulus in curve.layers.items():
                 batch = self.measurements.batch_of(curve.device, layer)
@@ -572,7 +586,7 @@ class Study:
         """
         readings = self.readings
         traits = np.array([_traits(c.design) for c in self.measurements.curves])
-        spots = traits[[c for c, _, _ in self._cells]]
+        spots = traits[[c for c, _, _ in self.cells]]
         shapes = []
         for g in np.unique(readings.group):
             at = np.flatnonzero(readings.group == g)
@@ -608,10 +622,13 @@ class Study:
         where nothing but the baseline has been solved.
         """
         names = tuple(sorted(names))
+        ready = self._present.get(names)
+        if ready is not None and ready[0] == len(self._nodes):
+            return ready[1]
         priors = self.priors(names)
         off = np.array([p.off for p in priors])
         base = self._nodes[(), ()]
-        n, k = len(self._cells), len(priors)
+        n, k = len(self.cells), len(priors)
         nodes, found = [off], [(base, np.full((n, k), np.nan))]
         for (solved, t), node in self._nodes.items():
             if not solved or not set(solved) <= set(names):
@@ -638,7 +655,7 @@ class Study:
             span,
         )
         fields = np.stack([node.fields.reshape(-1) for node, _ in found])
-        return Present(
+        made = Present(
             name="+".join(names),
             effects=names,
             priors=priors,
@@ -648,6 +665,8 @@ class Study:
                 np.array(nodes), fields, np.full((*fields.shape, k), np.nan), span
             ),
         )
+        self._present[names] = (len(self._nodes), made)
+        return made
 
 
 def _traits(specimen: object) -> Array:

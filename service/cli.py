@@ -20,6 +20,7 @@ from typer import Argument, Option
 
 from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
 
+from .challenge import challenge_app
 from .effects import effects_app
 from .options import (
     DEFAULT_PRESSURES,
@@ -34,6 +35,7 @@ from .options import (
     number,
     whole,
 )
+from .rank import rank
 from .terminal import print_json, print_rich, waiting
 
 if TYPE_CHECKING:
@@ -57,6 +59,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.add_typer(effects_app, name="effects")
+app.command()(rank)
+app.add_typer(challenge_app, name="challenge")
 
 
 @app.command()

@@ -1,0 +1,190 @@
+"""``pba rank``: which physical effect does the model lack."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from typer import Argument, Option
+
+from .options import AsJson, EffectsDir, Level, number, whole
+from .terminal import print_json, print_rich
+
+if TYPE_CHECKING:
+    from discrepancy.measurement import Tolerances
+    from discrepancy.rank import Ranking
+    from discrepancy.solves import Progress
+
+ROWS = 8
+"""Candidates shown to people; JSON has them all."""
+
+MeasurementFile = Annotated[
+    Path,
+    Argument(metavar="FILE", help="Measurements: a CSV file or a folder of PEtab."),
+]
+ModulusTolerance = Annotated[
+    float,
+    Option(
+        metavar="PERCENT",
+        help="Standard deviation of each batch's modulus.",
+        parser=number("--modulus-tolerance", 0, 50, "%"),
+    ),
+]
+ThicknessTolerance = Annotated[
+    float,
+    Option(
+        metavar="UM",
+        help="Standard deviation of each layer's thickness.",
+        parser=number("--thickness-tolerance", 0, 100, "um"),
+    ),
+]
+CameraTolerance = Annotated[
+    float,
+    Option(
+        metavar="PERCENT",
+        help="Standard deviation of each curve's camera scale.",
+        parser=number("--camera-tolerance", 0, 20, "%"),
+    ),
+]
+Workers = Annotated[
+    int | None,
+    Option(
+        help="Worker processes.", parser=whole("--workers", 1, 4096), metavar="COUNT"
+    ),
+]
+Cache = Annotated[
+    Path | None,
+    Option(metavar="DIR", help="Folder of kept solves; in your cache by default."),
+]
+
+
+def cores() -> int:
+    """Worker processes by default: one a core that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+
+
+def tolerances(modulus: float, thickness: float, camera: float) -> Tolerances:
+    """Tolerances from bench units."""
+    from discrepancy.measurement import Tolerances
+
+    return Tolerances(modulus / 100, thickness * 1e-6, camera / 100)
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Callable[[Progress], None]]:
+    """A bar on standard error that follows the solves, whatever they are for."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+    from rich.progress import Progress as Bar
+
+    with Bar(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True, quiet=quiet),
+        transient=True,
+    ) as bar:
+        tasks = {}
+
+        def show(state: Progress) -> None:
+            if state.what not in tasks:
+                tasks[state.what] = bar.add_task(f"solving {state.what}", total=1)
+            bar.update(tasks[state.what], completed=state.done, total=state.total)
+
+        yield show
+
+
+def rank(
+    file: MeasurementFile,
+    effects_dir: EffectsDir = None,
+    effects: Annotated[
+        str,
+        Option(metavar="A,B,...", help="Candidates; the whole catalogue by default."),
+    ] = "",
+    level: Level = "standard",
+    modulus_tolerance: ModulusTolerance = 5.0,
+    thickness_tolerance: ThicknessTolerance = 3.0,
+    camera_tolerance: CameraTolerance = 0.5,
+    workers: Workers = None,
+    cache: Cache = None,
+    seed: Annotated[
+        int,
+        Option(help="Of the samples.", parser=whole("--seed", 0, 2**31), metavar="N"),
+    ] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Learn which physical effect the model lacks, from measurements.
+
+    Finished solves are kept: a run that was stopped goes on where it was.
+    """
+    from discrepancy.answer import sentence, to_json
+    from discrepancy.experiment import next_measurement
+    from discrepancy.rank import Search
+    from discrepancy.reading import read_measurements
+    from discrepancy.solves import Solver
+    from discrepancy.study import Study
+
+    allowed = tolerances(modulus_tolerance, thickness_tolerance, camera_tolerance)
+    measured = read_measurements(file, allowed)
+    names = [name for name in effects.split(",") if name] or None
+    with (
+        progress_bar(as_json) as show,
+        Solver(workers or cores(), cache, show) as solver,
+    ):
+        study = Study(
+            measured, solver, level=level, effects=names, effects_dir=effects_dir
+        )
+        ranking = Search(study, seed).run()
+        proposals = next_measurement(study, ranking)
+    warnings = [*measured.warnings, *ranking.warnings]
+    if as_json:
+        answer = to_json(ranking, proposals=proposals)
+        print_json(answer | {"warnings": warnings, "file_sha256": measured.sha256})
+        return
+    print(sentence(ranking, proposals))
+    print()
+    print_rich(ranking_table(ranking))
+    print(
+        f"\nError on devices that were left out, in noise: baseline "
+        f"{ranking.baseline_error:.2f}, with the right physics about "
+        f"{ranking.noise_floor:.2f}."
+    )
+    for one in proposals[:3]:
+        print(
+            f"Next: {one.words}: the nearest two would then be told apart with "
+            f"probability {one.probability:.0%}."
+        )
+    for name, why in ranking.unjudged.items():
+        print(f"Not judged: {name}: {why}.")
+    for line in warnings:
+        print(f"Warning: {line}")
+
+
+def ranking_table(ranking: Ranking) -> Table:
+    """Best candidates with probabilities, sizes and held-out errors."""
+    from discrepancy.answer import label, sizes
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for head in ("effect", "probability", "held-out error", "size (90 % interval)"):
+        table.add_column(head)
+    for i, one in enumerate(ranking.candidates):
+        if i >= ROWS and one.name != "nothing":
+            continue
+        names = label(one)
+        name = names if isinstance(names, str) else " + ".join(names)
+        error = (
+            f"{one.heldout_error:.2f}" if one.heldout_error == one.heldout_error else ""
+        )
+        table.add_row(escape(name), f"{one.probability:.3f}", error, escape(sizes(one)))
+    return table
