@@ -60,12 +60,12 @@ def _curves(study: Study, group: int, device: int) -> list[Array]:
 def loads(study: Study) -> Array:
     """(n,) load of every reading: gauge pressure, Pa, or stretch."""
     curves = study.measurements.curves
-    return np.array([curves[c].load[s] for c, s, _ in study._cells])
+    return np.array([curves[c].load[s] for c, s, _ in study.cells])
 
 
 def _unloading(study: Study) -> Array:
     curves = study.measurements.curves
-    return np.array([curves[c].branch[s] == UNLOADING for c, s, _ in study._cells])
+    return np.array([curves[c].branch[s] == UNLOADING for c, s, _ in study.cells])
 
 
 def devices_of(study: Study, group: int) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ def _chosen(study: Study, group: int, devices: Sequence[str] | None) -> list[str
 
 def _curve_name(study: Study, at: Array) -> str:
     """Run and orientation of a curve, where they are not the usual ones."""
-    curve = study.measurements.curves[study._cells[at[0]][0]]
+    curve = study.measurements.curves[study.cells[at[0]][0]]
     turned = math.degrees(curve.orientation)
     parts = [f"run {curve.run}"] if curve.run > 1 else []
     parts += [f"turned by {turned:.4g} deg"] if abs(turned) > 1e-9 else []
