@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import re
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -20,33 +18,6 @@ from tests.service.fakes import FakeSurrogate
 
 if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext, Page
-
-NAMES = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[BrowserContext]:
-    path = next(filter(None, map(shutil.which, NAMES)), None)
-    if path is None:
-        reason = f"no browser: none of {', '.join(NAMES)} is installed"
-        if os.environ.get("CI") == "true":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
-        # One context: its cache spares every page but the first the loading of Plotly.
-        yield browser.new_context(viewport={"width": 1280, "height": 900})
-        browser.close()
 
 
 @pytest.fixture(scope="module")
