@@ -253,9 +253,15 @@ class PathFollower:
         if sensitivity is None:
             return point
 
-        def visit() -> Array | None:
+        def visit(last: bool = False) -> Array | None:
             return sensitivity.visit(
-                self.equations, self._solver, point, dt, self.first_volume, self._length
+                self.equations,
+                self._solver,
+                point,
+                dt,
+                self.first_volume,
+                self._length,
+                last,
             )
 
         jacobian: Array | None = None
@@ -263,7 +269,7 @@ class PathFollower:
             jacobian = visit()
             if jacobian is None:  # the corrector's factorisation was not near enough
                 self._factorise(self._evaluate(point.x, point.pressure, dt, True))
-                jacobian = visit()
+                jacobian = visit(last=True)
         except (StepFailed, InvertedElement):
             jacobian = None
         if jacobian is None:

@@ -108,6 +108,7 @@ class Sensitivity:
         dt: float,
         first_volume: float,
         where: float,
+        last: bool = False,
     ) -> Array | None:
         """Derivatives of the outputs at a point of the path, at fixed gauge pressure.
 
@@ -124,6 +125,8 @@ class Sensitivity:
             Of the cavities at rest.
         where : float, m
             The path's length up to `point`.
+        last : bool
+            There will be no other try: a derivative that was not found is NaN.
 
         Returns
         -------
@@ -169,12 +172,14 @@ class Sensitivity:
         # Where it went astray, another try had better start from the guess again.
         self._follow[:, away] = guess[:, away]
         self._known[-1] = (where, self._follow.copy())
-        if len(open_columns):
+        if len(open_columns) and not last:
             return None
-        jacobian = np.empty((len(values), len(self.directions)))
+        jacobian = np.full((len(values), len(self.directions)), np.nan)
         for k, (direction, ahead) in enumerate(
             zip(self.directions, self._ahead, strict=True)
         ):
+            if k in open_columns:
+                continue
             x = self._nodes_ahead(point, k)
             volume = ahead.volume(x) - self._first_volume[k]
             after = self._read_ahead[k].read(x, volume)

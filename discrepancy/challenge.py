@@ -23,6 +23,7 @@ from datagen.problem import STAGES, baseline
 from datagen.response import Path
 from datagen.solver import solve
 
+from .calibration import LENGTHS
 from .columns import NUMBERS
 from .laboratory import (
     MESHES,
@@ -42,7 +43,7 @@ from .measurement import (
 )
 from .prior import Prior
 from .sealed import NAMED, NONE, UNNAMED, Planted, Truth
-from .study import CONDITIONS, LENGTHS
+from .study import CONDITIONS
 from .unnamed import UNNAMED as PRIVATE
 
 Array = np.ndarray

@@ -64,30 +64,35 @@ class Emulator:
         object.__setattr__(self, "_known", take)
         object.__setattr__(self, "_weights", solved)
 
-    def _kernel(self, a: Array, b: Array) -> Array:
+    def _kernel(self, a: Array, b: Array, slopes: bool = True) -> Array:
         """Covariances of values and slopes at a with those at b.
 
         Returns
         -------
-        (p (1 + k), q (1 + k)) array; values first, then slopes by each coordinate.
+        (p (1 + k), q (1 + k)) array; values first, then slopes by each coordinate;
+        (p, q (1 + k)) where no slopes at a are wanted.
         """
         length = WIDTH * self.span
         k = len(length)
         d = (a[:, None, :] - b[None, :, :]) / length
         base = np.exp(-0.5 * (d**2).sum(axis=2))
-        blocks = [[base] + [base * d[:, :, j] / length[j] for j in range(k)]]
-        for i in range(k):
-            row = [-base * d[:, :, i] / length[i]]
+        p, q = base.shape
+        whole = np.empty(((1 + k) * p if slopes else p, (1 + k) * q))
+        whole[:p, :q] = base
+        for j in range(k):
+            whole[:p, (1 + j) * q : (2 + j) * q] = base * d[:, :, j] / length[j]
+        for i in range(k if slopes else 0):
+            rows = slice((1 + i) * p, (2 + i) * p)
+            whole[rows, :q] = -base * d[:, :, i] / length[i]
             for j in range(k):
                 cross = (i == j) - d[:, :, i] * d[:, :, j]
-                row.append(base * cross / (length[i] * length[j]))
-            blocks.append(row)
-        return np.block(blocks)
+                columns = slice((1 + j) * q, (2 + j) * q)
+                whole[rows, columns] = base * cross / (length[i] * length[j])
+        return whole
 
     def many(self, t: Array) -> Array:
         """(p, n) values at coordinates (p, k)."""
-        p = len(t)
-        rows = self._kernel(t, self.nodes)[:p, self._known]
+        rows = self._kernel(t, self.nodes, slopes=False)[:, self._known]
         values: Array = self.values[0] + rows @ self._weights
         return values
 

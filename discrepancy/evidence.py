@@ -175,7 +175,7 @@ class Fit:
         return prediction
 
 
-class _Target:
+class Target:
     """Log posterior of one hypothesis over coordinates and amplitudes."""
 
     def __init__(self, frame: Frame, keep: Array, hypothesis: Hypothesis) -> None:
@@ -279,12 +279,14 @@ class _Target:
                     break
         return t
 
-    def optimum(self, t: Array, eta: Array) -> tuple[Array, Array, float]:
+    def optimum(
+        self, t: Array, eta: Array, fixed: bool = False
+    ) -> tuple[Array, Array, float]:
         """Best coordinates and amplitudes from a start, and -2 log density there."""
         best = math.inf
         for _ in range(12):
             r, _, columns = self.look(t)
-            eta = self.amplitudes(eta, r, columns)
+            eta = eta if fixed else self.amplitudes(eta, r, columns)
             t = self.coordinates(t, eta)
             r, _, columns = self.look(t)
             value = self.covariance(eta, columns).log_density(r)
@@ -323,6 +325,7 @@ def fit(
     frame: Frame | None = None,
     starts: Sequence[Array] = (),
     eta: Array | None = None,
+    fixed: bool = False,
     evidence: bool = True,
     nested: bool = False,
     seed: int = 0,
@@ -342,6 +345,8 @@ def fit(
         Coordinates to start from, besides off.
     eta : (h,) array, optional
         Log amplitudes to start from.
+    fixed : bool
+        Whether those amplitudes are kept.
     evidence : bool
         Whether to integrate, or only to find the best fit.
     nested : bool
@@ -355,11 +360,11 @@ def fit(
     """
     keep = np.ones(len(readings.value), dtype=bool) if keep is None else keep
     frame = frame or Frame(readings.subset(keep))
-    target = _Target(frame, keep, hypothesis)
+    target = Target(frame, keep, hypothesis)
     begin = target.hyper.centre if eta is None else eta
     off = np.array([prior.off for prior in hypothesis.priors])
     found = [
-        target.optimum(np.clip(t, target.lower, target.upper), begin)
+        target.optimum(np.clip(t, target.lower, target.upper), begin, fixed)
         for t in (off, *starts)
     ]
     t, eta, misfit = min(found, key=lambda one: one[2])
@@ -381,7 +386,7 @@ def fit(
 
 
 def _conclude(
-    target: _Target,
+    target: Target,
     readings: Readings,
     keep: Array,
     hypothesis: Hypothesis,
@@ -402,7 +407,7 @@ def _conclude(
     )
 
 
-def _log_likelihood(target: _Target, best: Fit, t: Array) -> Array:
+def _log_likelihood(target: Target, best: Fit, t: Array) -> Array:
     """(m,) log densities of the readings at coordinates (m, k), amplitudes fixed."""
     values = best.hypothesis.many(t)[:, best.keep]
     r = target.frame.turn @ (target.frame.readings.value[None, :] - values).T
@@ -412,13 +417,13 @@ def _log_likelihood(target: _Target, best: Fit, t: Array) -> Array:
     return np.where(np.isfinite(logs), logs, -np.inf)
 
 
-def _outer(target: _Target, best: Fit) -> float:
+def _outer(target: Target, best: Fit) -> float:
     """What amplitudes and turning add to the log evidence."""
     r, _, columns = target.look(best.t)
     return target.curvature(best.eta, r, columns) + target.frame.log_volume
 
 
-def _integrate(target: _Target, best: Fit, seed: int) -> tuple[Fit, Array | None]:
+def _integrate(target: Target, best: Fit, seed: int) -> tuple[Fit, Array | None]:
     """Importance sampling over the coordinates: Student around the fit, and prior.
 
     Returns
@@ -487,7 +492,7 @@ def _integrate(target: _Target, best: Fit, seed: int) -> tuple[Fit, Array | None
     return done, better
 
 
-def _nested(target: _Target, best: Fit, seed: int) -> Fit:
+def _nested(target: Target, best: Fit, seed: int) -> Fit:
     """Nested sampling over the coordinates (Skilling 2006; Speagle 2020)."""
     from dynesty import NestedSampler
 
@@ -515,87 +520,3 @@ def _nested(target: _Target, best: Fit, seed: int) -> Fit:
         weights=weights,
         effective=float(1 / (weights**2).sum()),
     )
-
-
-def nearest(
-    truth: Fit, hypothesis: Hypothesis, starts: Sequence[Array] = ()
-) -> tuple[Array, Array]:
-    """How near a hypothesis comes to what another one predicts, errors aside.
-
-    Parameters
-    ----------
-    truth : Fit
-        Its best fit is taken for true; its amplitudes are kept.
-    hypothesis : Hypothesis
-        Of the same readings.
-    starts : sequence of (k,) arrays
-        Coordinates to start from, besides off.
-
-    Returns
-    -------
-    t : (k,) array
-        Coordinates that come nearest, calibrations and priors paid for.
-    lack : (n,) array
-        What is left, turned and divided by the errors' Cholesky factor: its square sum
-        is the chi-square by which such readings would tell the two apart.
-    """
-    keep = truth.keep
-    values = truth.hypothesis.predict(truth.t).values
-    readings = replace(truth.readings, value=values)
-    frame = Frame(readings.subset(keep))
-    target = _Target(frame, keep, hypothesis)
-    eta = np.array(
-        [
-            dict(zip(truth.hyper.names, truth.eta, strict=True)).get(name, middle)
-            for name, middle in zip(
-                target.hyper.names, target.hyper.centre, strict=True
-            )
-        ]
-    )
-    off = np.array([prior.off for prior in hypothesis.priors])
-    best, cost = off, math.inf
-    for start in (off, *starts):
-        t = target.coordinates(np.clip(start, target.lower, target.upper), eta)
-        r, _, columns = target.look(t)
-        covariance = target.covariance(eta, columns)
-        value = float(covariance.quadratic(r[:, None])[0] + target.pull @ t**2)
-        if value < cost:
-            best, cost = t, value
-    r, _, columns = target.look(best)
-    covariance = target.covariance(eta, columns)
-    dense = np.diag(covariance.diagonal) + covariance.columns @ covariance.columns.T
-    lack: Array = np.linalg.solve(np.linalg.cholesky(dense), r)
-    return best, lack
-
-
-HOPELESS = 12.0
-"""Log evidence behind the best at which a better integral would change nothing."""
-
-
-def weigh(
-    readings: Readings, hypotheses: Sequence[Hypothesis], seed: int = 0
-) -> list[Fit]:
-    """Condition hypotheses on the same readings; integrals that matter are sound."""
-    frame = Frame(readings)
-    fits = [fit(readings, one, frame=frame, seed=seed) for one in hypotheses]
-    best = max(one.log_evidence for one in fits)
-    return [
-        fit(
-            readings,
-            one.hypothesis,
-            frame=frame,
-            starts=[one.t],
-            nested=True,
-            seed=seed,
-        )
-        if one.effective < ENOUGH and one.log_evidence > best - HOPELESS
-        else one
-        for one in fits
-    ]
-
-
-def probabilities(log_evidence: Array, log_prior: Array) -> Array:
-    """Posterior probabilities (h,) of hypotheses, by Bayes' rule."""
-    logs = log_evidence + log_prior
-    shares: Array = np.exp(logs - logsumexp(logs))
-    return shares

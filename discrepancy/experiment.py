@@ -19,10 +19,12 @@ from datagen.device import Design
 from datagen.errors import InputError
 from datagen.specimens import Bulge, Tensile
 
-from .evidence import Fit, nearest
+from .evidence import Fit
+from .hypotheses import Present
 from .measurement import LOADING, UNLOADING, Curve, Measurements
 from .rank import Ranking
-from .study import Present, Study
+from .study import Study
+from .weighing import nearest
 
 Array = np.ndarray
 

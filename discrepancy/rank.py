@@ -15,8 +15,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .evidence import Fit, Hypothesis, fit, nearest, probabilities, weigh
-from .study import Null, Present, Study
+from .evidence import Fit, Hypothesis, fit
+from .hypotheses import Null, Present
+from .study import Study
+from .weighing import nearest, probabilities, weigh
 
 Array = np.ndarray
 
@@ -38,6 +40,9 @@ CURVED = 0.5
 
 UNSEEN = 0.1
 """Largest change, in noise, of an effect that the readings cannot show."""
+
+GAIN = 6.0
+"""Chi-square that a second effect has to take away for a pair to be weighed."""
 
 ROUNDS, PARTNERS, PAIRS = 3, 3, 4
 """Refinements of a contender, singles paired with all others, pairs solved."""
@@ -136,11 +141,14 @@ class Search:
         Of the samples behind the evidence.
     solves : bool
         Whether to solve at all; False ranks with what the study has.
+    details : bool
+        Whether to hold devices out and draw the confusion matrix.
     """
 
     study: Study
     seed: int = 0
     solves: bool = True
+    details: bool = True
     unjudged: dict[str, str] = field(default_factory=dict)
 
     def run(self) -> Ranking:
@@ -149,7 +157,7 @@ class Search:
         fits = self.weigh_singles(singles)
         fits = self.refine(fits)
         fits += self.pairs(fits)
-        return judge(self.study, fits, self.unjudged, self.seed)
+        return judge(self.study, fits, self.unjudged, self.seed, self.details)
 
     # -- solves --------------------------------------------------------------------
 
@@ -266,10 +274,24 @@ class Search:
             present = study.present(names)
             if present is None:
                 continue
-            start = self._joined(present, known)
-            tried.append(fit(study.readings, present, starts=[start], seed=self.seed))
-        tried.sort(key=lambda one: -one.log_evidence)
-        promising = [one for one in tried if one.log_evidence > best + 1.0][:PAIRS]
+            better = min((known[name] for name in names), key=lambda one: one.misfit)
+            quick = fit(
+                study.readings,
+                present,
+                starts=[self._joined(present, known)],
+                eta=better.eta,
+                evidence=False,
+            )
+            if quick.misfit < better.misfit - GAIN:
+                tried.append(quick)
+        tried.sort(key=lambda one: one.misfit)
+        weighed = [
+            fit(study.readings, one.hypothesis, starts=[one.t], eta=one.eta)
+            for one in tried[: 2 * PAIRS]
+        ]
+        promising = [one for one in weighed if one.log_evidence > best + 1.0]
+        promising.sort(key=lambda one: -one.log_evidence)
+        promising = promising[:PAIRS]
         for _ in range(2 if self.solves else 0):
             found = study.solve(
                 [(_effects(one), one.t) for one in promising], "pairs of effects"
@@ -303,7 +325,11 @@ def log_prior(one: Hypothesis, candidates: int) -> float:
 
 
 def judge(
-    study: Study, fits: Sequence[Fit], unjudged: dict[str, str], seed: int = 0
+    study: Study,
+    fits: Sequence[Fit],
+    unjudged: dict[str, str],
+    seed: int = 0,
+    details: bool = True,
 ) -> Ranking:
     """Probabilities, ties, held-out devices and the verdict from fits."""
     count = max(len([f for f in fits if len(_effects(f)) == 1]), 1)
@@ -339,17 +365,17 @@ def judge(
         for one in ranked
     ]
     shown = [one for i, one in enumerate(ranked) if i < 6 or one.name == "nothing"]
-    errors = {one.name: held_out(one.fit) for one in shown}
+    errors = {one.name: held_out(one.fit) for one in shown if details}
     ranked = [
         replace(one, heldout_error=errors.get(one.name, math.nan)) for one in ranked
     ]
     verdict, effects = _verdict(ranked, ties)
-    names, matrix = confusion(ranked, count, seed)
+    names, matrix = confusion(ranked if details else [], count, seed)
     return Ranking(
         verdict=verdict,
         effects=effects,
         candidates=tuple(ranked),
-        baseline_error=errors["nothing"],
+        baseline_error=errors.get("nothing", math.nan),
         noise_floor=noise_floor(ranked[0].fit),
         confusion=matrix,
         confused=names,
@@ -412,21 +438,19 @@ def held_out(one: Fit) -> float:
         out = readings.device == device
         if out.all():
             return math.nan
+        same = set(readings.group[~out]) == set(readings.group)
         others = fit(
             readings,
             one.hypothesis,
             keep=~out,
             starts=[one.t],
-            eta=one.eta if _same_groups(readings.group, ~out) else None,
+            eta=one.eta if same else None,
+            fixed=same,  # one device hardly moves the amplitudes of all
             evidence=False,
         )
         lack = (readings.value - others.predict())[out] / one.noise[out]
         residuals.append(lack)
     return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
-
-
-def _same_groups(group: Array, keep: Array) -> bool:
-    return set(group[keep]) == set(group)
 
 
 def noise_floor(one: Fit) -> float:

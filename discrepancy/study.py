@@ -22,8 +22,10 @@ from datagen.model import Model
 from datagen.problem import Problem
 from datagen.specimens import Bulge, Tensile
 
+from .calibration import FIELDS, Calibrations
 from .emulator import Emulator
 from .evidence import Prediction
+from .hypotheses import Null, Present
 from .measurement import Curve, Measurements
 from .noise import Readings, smooth_kernel
 from .prior import EVEN, Prior
@@ -36,12 +38,6 @@ CONDITIONS = ("orientation",)
 
 GUESS = 0.005
 """Noise where none is stated and nothing was repeated, share of a curve's maximum."""
-
-LENGTHS = ("tip_deflection", "inflation", "inflation_lower")
-"""Quantities that a camera's scale changes."""
-
-FIELDS = ("upper_modulus", "lower_modulus", "upper_thickness", "lower_thickness")
-"""What is calibrated in a device, in the order of `Node.fields`."""
 
 FIRST_NORMAL, FIRST_EVEN = 1.0, 0.4
 """Coordinate of an effect's first solve: a prior standard deviation, a part of the
@@ -71,66 +67,6 @@ class Node:
     slopes: Array
     fields: Array
     failed: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Null:
-    """Nothing is missing: the baseline and calibrations.
-
-    With `common` shapes: an effect that has no name here.
-    """
-
-    name: str
-    prediction: Prediction
-    common: tuple[Array, ...] = ()
-    priors: tuple[Prior, ...] = ()
-
-    def predict(self, t: Array) -> Prediction:
-        return self.prediction
-
-    def many(self, t: Array) -> Array:
-        return np.repeat(self.prediction.values[None, :], len(t), axis=0)
-
-
-@dataclass(frozen=True)
-class Present:
-    """One or more effects act, with unknown sizes.
-
-    Parameters
-    ----------
-    name : str
-        Names of the effects, joined by ``+``.
-    effects : tuple of str
-    priors : tuple of k Prior
-        Their parameters are named ``effect.parameter``.
-    study : Study
-    curves, fields : Emulator
-        Of the readings, and of their derivatives by `FIELDS`.
-    nodes : (m, k) array
-        Coordinates that were solved.
-    """
-
-    name: str
-    effects: tuple[str, ...]
-    priors: tuple[Prior, ...]
-    study: Study
-    curves: Emulator
-    fields: Emulator
-    common: tuple[Array, ...] = ()
-
-    @property
-    def nodes(self) -> Array:
-        return self.curves.nodes
-
-    def predict(self, t: Array) -> Prediction:
-        values = self.many(t[None, :])[0]
-        fields = self.fields.many(t[None, :])[0].reshape(-1, len(FIELDS))
-        columns = self.study.columns(values, fields)
-        return Prediction(values, self.curves.slope(t), columns)
-
-    def many(self, t: Array) -> Array:
-        values: Array = self.curves.many(t) + self.study.shift
-        return values
 
 
 class Study:
@@ -230,6 +166,7 @@ class Study:
         self.cells = [one for one, ok in zip(self.cells, there, strict=True) if ok]
         self.shift = (values - quick)[there]
         self.readings = self._readings()
+        self.calibrations = Calibrations.of(self.measurements, self.cells)
         off: tuple[str, ...] = ()
         self._nodes[off, ()] = self._node(off, (), fast)
         self.base = self._nodes[off, ()].values + self.shift
@@ -521,59 +458,13 @@ class Study:
 
     # -- hypotheses ----------------------------------------------------------------
 
-    def columns(self, values: Array, fields: Array) -> Array:
-        """Changes by one standard deviation of each calibration.
-
-        Parameters
-        ----------
-        values : (n,) array, SI
-        fields : (n, 4) array
-            By the true values of `FIELDS`.
-
-        Returns
-        -------
-        (n, r) array; batch moduli, layer thicknesses of devices, scales of curves.
-        """
-        columns: Array = np.zeros((len(values), self._places[1]))
-        for i, places in enumerate(self._places[0]):
-            for at, field, factor in places:
-                columns[i, at] += factor * (
-                    values[i] if field < 0 else fields[i, field]
-                )
-        return columns
-
-    @cached_property
-    def _places(self) -> tuple[list[list[tuple[int, int, float]]], int]:
-        """(column, field or -1 for the value, factor) of calibrations, by reading."""
-        known: dict[tuple[object, ...], int] = {}
-        allowed = self.measurements.tolerances
-        found = []
-        for c, _, m in self.cells:
-            curve, places = self.measurements.curves[c], []
-            for layer, modulus in curve.layers.items():
-                batch = self.measurements.batch_of(curve.device, layer)
-                at = known.setdefault(("modulus", batch), len(known))
-                field = FIELDS.index(f"{layer}_modulus")
-                places.append((at, field, modulus * allowed.modulus))
-                if not self._pulled(curve):
-                    key = ("thickness", curve.device, layer)
-                    at = known.setdefault(key, len(known))
-                    field = FIELDS.index(f"{layer}_thickness")
-                    places.append((at, field, allowed.thickness))
-            if curve.outputs[m] in LENGTHS:
-                at = known.setdefault(("scale", c), len(known))
-                places.append((at, -1, allowed.camera_scale))
-            found.append(places)
-        self.calibrations = tuple(known)
-        return found, len(known)
-
     def null(self) -> Null:
         """Nothing is missing."""
         node = self._nodes[(), ()]
         prediction = Prediction(
             self.base,
             np.zeros((len(self.base), 0)),
-            self.columns(self.base, node.fields),
+            self.calibrations.columns(self.base, node.fields),
         )
         return Null("nothing", prediction)
 
@@ -663,11 +554,12 @@ class Study:
             name="+".join(names),
             effects=names,
             priors=priors,
-            study=self,
             curves=curves,
             fields=Emulator(
                 np.array(nodes), fields, np.full((*fields.shape, k), np.nan), span
             ),
+            shift=self.shift,
+            calibrations=self.calibrations,
         )
         self._present[names] = (len(self._nodes), made)
         return made

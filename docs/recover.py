@@ -29,16 +29,16 @@ RUNS = HERE.parent / "runs"
 TRIALS = RUNS / "recovery.jsonl"
 
 SIZES = (3.0, 6.0, 12.0)
-"""Largest change of a reading by the planted effect, in noise."""
+"""Largest change of a reading by the planted effect, over the whole uncertainty."""
 
-NOISES = (0.003, 0.01, 0.02)
-"""Independent noise, share of the median curve's maximum of a quantity."""
+NOISES = (1e-6, 3e-6, 6e-6)
+"""Independent noise of tip and inflation, m."""
 
-SMOOTH_OF_NOISE = 0.5
-"""Smooth error inside a curve over the noise, where an effect is planted."""
+SMOOTH = 0.005
+"""Smooth errors inside a curve, share of its maximum, where an effect is planted."""
 
-NULL_NOISE, NULL_SMOOTH = 0.003, 0.01
-"""Errors where nothing is planted: the smooth one is the larger."""
+NULL_NOISE, NULL_SMOOTH = 1e-6, 0.01
+"""Errors where nothing is planted: the smooth ones are the larger."""
 
 COUNTS = (5, 10)
 """Devices."""
@@ -103,15 +103,15 @@ def judged(lab: Lab) -> list[str]:
 def run(lab: Lab, trial: Trial) -> dict[str, Any]:
     """Make the readings of one trial, rank them, and judge the answer."""
     began = time.perf_counter()
-    smooth = NULL_SMOOTH if trial.kind == "nothing" else SMOOTH_OF_NOISE * trial.noise
+    smooth = NULL_SMOOTH if trial.kind == "nothing" else SMOOTH
     truth = {}
     extra = None
     if trial.kind == "unnamed":
-        extra = unnamed_changes(lab)[trial.planted[0]](trial.size, trial.noise)
+        extra = unnamed_changes(lab)[trial.planted[0]](trial.size, trial.noise, smooth)
     else:
         for i, name in enumerate(trial.planted):
             seed = 100 * trial.seed + i
-            truth[name] = size_for(lab, name, trial.size, trial.noise, seed)
+            truth[name] = size_for(lab, name, trial.size, trial.noise, smooth, seed)
     readings, planted = readings_of(
         lab, truth, noise=trial.noise, smooth=smooth, seed=trial.seed, extra=extra
     )
@@ -243,13 +243,14 @@ def page(rows: list[dict[str, Any]]) -> str:
         "",
         "Readings of tip and inflation at seven pressures, 10 to 70 kPa, of 5 or 10 "
         "devices, with batch moduli, thicknesses and camera scales drawn within their "
-        "tolerances, smooth errors inside every curve (Legendre polynomials, half of "
-        "the noise; where nothing is planted 1 % of the curve's maximum beside 0.3 % "
-        "noise) and independent noise of 0.3, 1 or 2 %. One effect is planted with a "
-        "size that moves some reading by 3, 6 or 12 times the noise, its parameters in "
-        "a random direction. Right is the effect's name, or a tied group with it. Truth "
-        "and ranking share their curves (`tests/recovery/trial.py`); sets that are "
-        "solved on other meshes are those of `pba challenge`.",
+        "tolerances, smooth errors inside every curve (Legendre polynomials, 0.5 % of "
+        "its maximum; 1 % where nothing is planted) and independent noise of 1, 3 or 6 "
+        "um. One effect is planted, its parameters in a random direction, with a size "
+        "that moves some reading by 3, 6 or 12 times what noise, smooth errors and "
+        "tolerances together leave open there. Right is the effect's name, or a tied "
+        "group with it. Truth and ranking share their curves "
+        "(`tests/recovery/trial.py`); sets that are solved on other meshes are those "
+        "of `pba challenge`.",
         "",
         "Written by `make recovery`.",
         "",
@@ -293,7 +294,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         f"{100 * np.mean(inside) if inside else 0:.0f}% of {len(inside)} planted "
         "parameters lie inside their 90 % interval.",
         "",
-        "| devices | 0.3 % noise | 1 % noise | 2 % noise |",
+        "| devices | 1 um noise | 3 um noise | 6 um noise |",
         "| --- | --- | --- | --- |",
     ]
     for devices in COUNTS:

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from datagen.space import Parameter
-from discrepancy.evidence import Fit, fit, probabilities, weigh
+from discrepancy.evidence import Fit, fit
 from discrepancy.formula import Formula
 from discrepancy.noise import Covariance, Frame, Readings
 from discrepancy.prior import Prior
+from discrepancy.weighing import probabilities, weigh
 
 Array = np.ndarray
 

@@ -16,11 +16,12 @@ from functools import cached_property
 import numpy as np
 
 from datagen.device import Design
+from discrepancy.hypotheses import Present
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.noise import Readings
 from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
-from discrepancy.study import Present, Study
+from discrepancy.study import Study
 
 Array = np.ndarray
 
@@ -158,7 +159,7 @@ class Truth:
     """What was planted: effects with coordinates; empty for nothing."""
 
     effects: dict[str, Array]
-    moved: float  # largest change of a reading, in noise
+    moved: float  # largest change of a reading, over its whole uncertainty
 
 
 def readings_of(
@@ -175,8 +176,10 @@ def readings_of(
     Parameters
     ----------
     truth : dict of effect to coordinates
-    noise, smooth : float
-        Of the median curve's maximum of a quantity, and of each curve's maximum.
+    noise : float, m
+        Standard deviation of the independent noise of tip and inflation.
+    smooth : float
+        Smooth errors, share of each curve's maximum.
     seed : int
     extra : (n,) array, optional
         Change by an effect that has no name.
@@ -197,10 +200,9 @@ def readings_of(
     scale = np.empty(len(values))
     for curve in np.unique(r.curve):
         scale[r.curve == curve] = np.abs(values[r.curve == curve]).max()
-    std = np.empty(len(values))
-    for g in np.unique(r.group):
-        std[r.group == g] = noise * np.median(scale[r.group == g])
-    moved = float(np.abs((values - base.values) / std).max())
+    std = np.full(len(values), noise)
+    left_open = uncertainty(lab, noise, smooth)
+    moved = float(np.abs((values - base.values) / left_open).max())
     y = values + columns @ rng.normal(size=columns.shape[1])
     for curve in np.unique(r.curve):
         at = r.curve == curve
@@ -216,8 +218,25 @@ def readings_of(
     return made, Truth(truth, moved)
 
 
-def size_for(lab: Lab, name: str, wanted: float, noise: float, seed: int) -> Array:
-    """Coordinates of an effect that move some reading by a multiple of the noise.
+def uncertainty(lab: Lab, noise: float, smooth: float) -> Array:
+    """(n,) standard deviation of each reading of a device that nothing is missing in.
+
+    Noise, smooth errors, and what the tolerances of moduli, thicknesses and camera
+    leave open: what an effect has to stand out from.
+    """
+    study = lab.study
+    base = study.null().prediction
+    r = study.readings
+    top = np.array([np.abs(base.values[r.curve == c]).max() for c in r.curve])
+    variance = noise**2 + (smooth * top) ** 2 + (base.columns**2).sum(axis=1)
+    std: Array = np.sqrt(variance)
+    return std
+
+
+def size_for(
+    lab: Lab, name: str, wanted: float, noise: float, smooth: float, seed: int
+) -> Array:
+    """Coordinates of an effect that move some reading by a multiple of `uncertainty`.
 
     A random direction of its parameters from off; at most to the end of the range.
     """
@@ -237,13 +256,7 @@ def size_for(lab: Lab, name: str, wanted: float, noise: float, seed: int) -> Arr
         lower - off,
     )
     base = study.base
-    r = study.readings
-    std = np.empty(len(base))
-    for g in np.unique(r.group):
-        tops = [
-            np.abs(base[r.curve == c]).max() for c in np.unique(r.curve[r.group == g])
-        ]
-        std[r.group == g] = noise * np.median(tops)
+    std = uncertainty(lab, noise, smooth)
 
     def moved(share: float) -> float:
         change = present.many((off + share * way)[None, :])[0] - base
@@ -264,13 +277,15 @@ def rank(lab: Lab, readings: Readings, keep: Sequence[int] | None = None) -> Ran
     one = study.with_readings(readings)
     if keep is not None:
         one = one.of_devices(keep)
-    return Search(one, solves=False).run()
+    return Search(one, solves=False, details=False).run()
 
 
-def unnamed_changes(lab: Lab) -> dict[str, Callable[[float, float], Array]]:
+def unnamed_changes(
+    lab: Lab,
+) -> dict[str, Callable[[float, float, float], Array]]:
     """Changes of the readings by effects that the catalogue has not.
 
-    Each is a function of the wanted size, in noise, and of the noise: (n,) array.
+    Each is a function of the wanted size, noise and smooth errors: (n,) array.
     """
     study = lab.study
     r, base = study.readings, study.base
@@ -288,11 +303,9 @@ def unnamed_changes(lab: Lab) -> dict[str, Callable[[float, float], Array]]:
         "lifted_rim": top * (width / 1e-3) ** 3 * np.where(tip, -1.0, 0.2) * r.place,
     }
 
-    def scaled(shape: Array) -> Callable[[float, float], Array]:
-        def change(size: float, noise: float) -> Array:
-            std = np.empty(len(base))
-            for g in np.unique(r.group):
-                std[r.group == g] = noise * np.median(top[r.group == g])
+    def scaled(shape: Array) -> Callable[[float, float, float], Array]:
+        def change(size: float, noise: float, smooth: float) -> Array:
+            std = uncertainty(lab, noise, smooth)
             found: Array = shape * size / np.abs(shape / std).max()
             return found
 

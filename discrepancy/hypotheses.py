@@ -1,0 +1,76 @@
+"""Hypotheses about devices: nothing is missing, something is, or named effects act."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .calibration import FIELDS, Calibrations
+from .emulator import Emulator
+from .evidence import Prediction
+from .prior import Prior
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Null:
+    """Nothing is missing: the baseline and calibrations.
+
+    With `common` shapes: an effect that has no name here.
+    """
+
+    name: str
+    prediction: Prediction
+    common: tuple[Array, ...] = ()
+    priors: tuple[Prior, ...] = ()
+
+    def predict(self, t: Array) -> Prediction:
+        return self.prediction
+
+    def many(self, t: Array) -> Array:
+        return np.repeat(self.prediction.values[None, :], len(t), axis=0)
+
+
+@dataclass(frozen=True)
+class Present:
+    """One or more effects act, with unknown sizes.
+
+    Parameters
+    ----------
+    name : str
+        Names of the effects, joined by ``+``.
+    effects : tuple of str
+    priors : tuple of k Prior
+        Their parameters are named ``effect.parameter``.
+    curves, fields : Emulator
+        Of the readings, and of their derivatives by `FIELDS`.
+    shift : (n,) array
+        What the model's mesh adds to the curves.
+    calibrations : Calibrations
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    priors: tuple[Prior, ...]
+    curves: Emulator
+    fields: Emulator
+    shift: Array
+    calibrations: Calibrations
+    common: tuple[Array, ...] = ()
+
+    @property
+    def nodes(self) -> Array:
+        """(m, k) coordinates that were solved."""
+        return self.curves.nodes
+
+    def predict(self, t: Array) -> Prediction:
+        values = self.many(t[None, :])[0]
+        fields = self.fields.many(t[None, :])[0].reshape(-1, len(FIELDS))
+        columns = self.calibrations.columns(values, fields)
+        return Prediction(values, self.curves.slope(t), columns)
+
+    def many(self, t: Array) -> Array:
+        values: Array = self.curves.many(t) + self.shift
+        return values
