@@ -26,6 +26,7 @@ from .evidence import Prediction
 from .measurement import Curve, Measurements
 from .noise import Readings, smooth_kernel
 from .prior import EVEN, Prior
+from .repeats import ENOUGH, noise_from_repeats
 from .solves import Solve, Solved, Solver, Values, values_of
 
 Array = np.ndarray
@@ -177,7 +178,7 @@ class Study:
         self.effects: dict[str, Effect] = dict(chosen)
         self._known = known
         self.warnings: list[str] = []
-        self._cells = self._measured()
+        self.cells = self._measured()
         self._nodes: dict[tuple[tuple[str, ...], tuple[float, ...]], Node] = {}
         self._read()
 
@@ -199,13 +200,13 @@ class Study:
         values, _ = self._gather((), fine)
         quick, _ = self._gather((), fast)
         there = np.isfinite(values) & np.isfinite(quick)
-        lost = sorted({self._cells[i][0] for i in np.flatnonzero(~there)})
+        lost = sorted({self.cells[i][0] for i in np.flatnonzero(~there)})
         for c in lost:
             curve = self.measurements.curves[c]
-            count = sum(1 for i in np.flatnonzero(~there) if self._cells[i][0] == c)
+            count = sum(1 for i in np.flatnonzero(~there) if self.cells[i][0] == c)
             self.warnings.append(
-                f"device {curve.device}, run {curve.run}: {count} readings are past the "
-                "end of the baseline's path and are left out"
+                f"device {curve.device}, run {curve.run}: {count} readings are past "
+                "the end of the baseline's path and are left out"
             )
         if not there.any():
             raise InputError(
@@ -213,7 +214,7 @@ class Study:
                 "all of them",
                 "pressures that the baseline reaches: its path ends before the first",
             )
-        self._cells = [one for one, ok in zip(self._cells, there, strict=True) if ok]
+        self.cells = [one for one, ok in zip(self.cells, there, strict=True) if ok]
         self.shift = (values - quick)[there]
         self.readings = self._readings()
         off: tuple[str, ...] = ()
@@ -240,11 +241,11 @@ class Study:
         }
         names = list(self.measurements.devices)
         size: dict[tuple[int, int], float] = {}
-        for c, _, m in self._cells:
+        for c, _, m in self.cells:
             if (c, m) not in size:
                 column = np.abs(curves[c].values[:, m])
                 size[c, m] = float(np.nanmax(column)) or 1.0
-        for c, s, m in self._cells:
+        for c, s, m in self.cells:
             curve = curves[c]
             kind = (curve.specimen, curve.outputs[m])
             groups.append(kinds.setdefault(kind, len(kinds)))
@@ -259,10 +260,16 @@ class Study:
         self.kinds = tuple(kinds)
         group, scale = np.array(groups), np.array(scales)
         std, is_stated = np.array(noise, dtype=float), np.array(stated)
-        for g in np.unique(group):
+        self.repeats = noise_from_repeats(self.measurements)
+        for kind, g in kinds.items():
             at = group == g
-            guess = GUESS * float(np.median(scale[at]))
-            std[at & ~is_stated] = guess
+            missing = at & ~is_stated
+            repeated = self.repeats.get(kind)
+            if repeated is None:
+                std[missing] = GUESS * float(np.median(scale[at]))
+            else:
+                std[missing] = repeated.std
+                is_stated[missing] = repeated.degrees >= ENOUGH
             # A curve that is nearly flat errs like the others of its quantity.
             scale[at] = np.maximum(scale[at], 0.2 * float(np.median(scale[at])))
         return Readings(
@@ -428,10 +435,10 @@ class Study:
         self, names: tuple[str, ...], solved: Sequence[Solved]
     ) -> tuple[Array, Array]:
         """(n,) values and (n, 4) derivatives by `FIELDS` of all readings."""
-        n = len(self._cells)
+        n = len(self.cells)
         values, fields = np.empty(n), np.zeros((n, len(FIELDS)))
         places = {}
-        for i, (c, s, m) in enumerate(self._cells):
+        for i, (c, s, m) in enumerate(self.cells):
             curve, answer = self.measurements.curves[c], solved[c]
             if c not in places:
                 places[c] = self._load(c, names)[2]
@@ -452,9 +459,9 @@ class Study:
     ) -> Node:
         values, fields = self._gather(names, solved)
         priors = self.priors(names)
-        slopes = np.full((len(self._cells), len(priors)), np.nan)
+        slopes = np.full((len(self.cells), len(priors)), np.nan)
         for k, prior in enumerate(priors):
-            for i, (c, s, m) in enumerate(self._cells):
+            for i, (c, s, m) in enumerate(self.cells):
                 answer = solved[c]
                 if prior.parameter.name not in answer.by:
                     continue
@@ -526,11 +533,11 @@ class Study:
 
     @cached_property
     def _places(self) -> tuple[list[list[tuple[int, int, float]]], int]:
-        """(column, field or -1 for the value, factor) of each reading's calibrations."""
+        """(column, field or -1 for value, factor) of each reading's calibrations."""
         known: dict[tuple[object, ...], int] = {}
         allowed = self.measurements.tolerances
         found = []
-        for c, _, m in self._cells:
+        for c, _, m in self.cells:
             curve, places = self.measurements.curves[c], []
             for layer, modulus in curve.layers.items():
                 batch = self.measurements.batch_of(curve.device, layer)
@@ -572,7 +579,7 @@ class Study:
         """
         readings = self.readings
         traits = np.array([_traits(c.design) for c in self.measurements.curves])
-        spots = traits[[c for c, _, _ in self._cells]]
+        spots = traits[[c for c, _, _ in self.cells]]
         shapes = []
         for g in np.unique(readings.group):
             at = np.flatnonzero(readings.group == g)
@@ -611,7 +618,7 @@ class Study:
         priors = self.priors(names)
         off = np.array([p.off for p in priors])
         base = self._nodes[(), ()]
-        n, k = len(self._cells), len(priors)
+        n, k = len(self.cells), len(priors)
         nodes, found = [off], [(base, np.full((n, k), np.nan))]
         for (solved, t), node in self._nodes.items():
             if not solved or not set(solved) <= set(names):

@@ -20,6 +20,7 @@ from typer import Argument, Option
 
 from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
 
+from .discrepancy import compare
 from .effects import effects_app
 from .options import (
     DEFAULT_PRESSURES,
@@ -57,6 +58,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.add_typer(effects_app, name="effects")
+app.command()(compare)
 
 
 @app.command()
@@ -434,7 +436,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = typer.main.get_command(app)
     try:
         status = command.main(given, prog_name="pba", standalone_mode=False)
-    except _Stopped as stop:
+    except (_Stopped, Interrupted) as stop:
         _complain(str(stop))
         return INTERRUPTED
     except typer.Abort:  # a question was not answered
