@@ -17,7 +17,7 @@ from datagen.units import DESIGN
 from .columns import NUMBERS
 from .evidence import Fit, fit
 from .measurement import Measurements
-from .missing import CLAIM, Kind, Labels, Residuals, Score, combined, scores
+from .missing import CLAIM, Kind, Labels, Residuals, Score, overall, scores
 from .rank import left_out, noise_floor
 from .regions import Region, regions
 from .repeats import ENOUGH
@@ -224,7 +224,7 @@ def compare(study: Study, seed: int = 0) -> Comparison:
         *scores(residuals, labels),
         Score(None, "region", count, math.nan, clearest),
     ]
-    p_value = combined(np.array([one.p for one in tests]))
+    p_value = overall(tests)
     heldout = left_out(best)
     return Comparison(
         measurements=study.measurements,

@@ -10,7 +10,7 @@ devices speak as well.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,6 +33,9 @@ scale from d degrees has the variance trigamma(d / 2) / 4, which is that of the 
 
 FEWEST = 2
 """Devices from which on their mean is tested: one has nothing to be compared with."""
+
+LARGE = 0.95
+"""Largest p-value that counts when p-values are combined."""
 
 KNOWN = 0.1
 """Share of its prior variance that readings must tell of a calibration before its
@@ -333,8 +336,23 @@ def combined(p_values: Array) -> float:
     """One p-value of many that may depend on each other: the Cauchy combination.
 
     Liu and Xie 2020, J. Am. Stat. Assoc. 115, 393: the mean of tan((1/2 - p) pi) has
-    nearly the standard Cauchy distribution in its tail, whatever the dependence.
+    nearly the standard Cauchy distribution in its tail, whatever the dependence.  p is
+    taken for `LARGE` at most: one test at 1 would silence all others.  Of independent
+    tests at a level of 5 % that makes 5.2 %.
     """
-    p = np.clip(np.asarray(p_values, dtype=float), 1e-15, 1 - 1e-15)
+    p = np.clip(np.asarray(p_values, dtype=float), 1e-15, LARGE)
     mean = float(np.tan((0.5 - p) * math.pi).mean())
     return float(np.clip(0.5 - math.atan(mean) / math.pi, 0.0, 1.0))
+
+
+def overall(tests: Sequence[Score]) -> float:
+    """p-value of nothing being missing.
+
+    Tests of single kinds of readings are combined first, so that many kinds do not
+    drown what the tests on all readings say.
+    """
+    single = [one.p for one in tests if one.kind is not None]
+    whole = [one.p for one in tests if one.kind is None]
+    return combined(
+        np.array([*([combined(np.array(single))] if single else []), *whole])
+    )

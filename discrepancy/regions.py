@@ -148,7 +148,9 @@ def _hinges(loads: Array) -> Array:
 
 def _together(kinds: tuple[Kind, ...]) -> list[tuple[Kind, tuple[int, ...]]]:
     """Each kind, and both branches of a quantity together where there are two."""
-    found = [(kind, (k,)) for k, kind in enumerate(kinds)]
+    found: list[tuple[Kind, tuple[int, ...]]] = [
+        (kind, (k,)) for k, kind in enumerate(kinds)
+    ]
     both: dict[Kind, tuple[int, ...]] = {}
     for k, kind in enumerate(kinds):
         either = replace(kind, branch="")

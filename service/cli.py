@@ -35,7 +35,7 @@ from .options import (
     number,
     whole,
 )
-from .terminal import print_json, print_rich, waiting
+from .terminal import Stopped, print_json, print_rich, waiting
 
 if TYPE_CHECKING:
     from datagen.device import Design
@@ -44,10 +44,6 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C, as in a shell."""
 
 BAD_INPUT = (InputError, FileError, EffectError)
-
-
-class _Stopped(PbaError):
-    """Ctrl-C with something to say; typer keeps the words of no KeyboardInterrupt."""
 
 
 app = typer.Typer(
@@ -264,7 +260,7 @@ def generate(
                 progress=update,
             )
         except Interrupted as stop:
-            raise _Stopped(str(stop)) from stop
+            raise Stopped(str(stop)) from stop
     seconds = time.perf_counter() - start
     ends = {end: data.path_status.count(end) for end in sorted(set(data.path_status))}
     report = {
@@ -436,7 +432,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = typer.main.get_command(app)
     try:
         status = command.main(given, prog_name="pba", standalone_mode=False)
-    except (_Stopped, Interrupted) as stop:
+    except Stopped as stop:
         _complain(str(stop))
         return INTERRUPTED
     except typer.Abort:  # a question was not answered

@@ -147,7 +147,8 @@ def calibration_text(one: Calibration) -> str:
         scale, unit, what = 100.0, "%", f"modulus of the {stated:g} MPa batch"
     else:
         scale, unit, what = 100.0, "%", f"camera scale of {one.of[0]}"
-    return f"{what} {scale * one.change:+.1f} {unit} ± {scale * one.std:.1f} {unit}"
+    change = round(scale * one.change, 1) + 0.0  # no minus before nothing
+    return f"{what} {change:+.1f} {unit} ± {scale * one.std:.1f} {unit}"
 
 
 def verdict_text(comparison: Comparison) -> list[str]:

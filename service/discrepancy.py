@@ -6,19 +6,18 @@ leaves: solves that are kept, so that the same command goes on where it was.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from rich.table import Table
 from typer import Argument, Option
 
-from datagen.errors import Interrupted
-
 from .options import AsJson, Level, number, whole
-from .terminal import print_json, print_rich, progress_bar
+from .terminal import Stopped, print_json, print_rich, progress_bar
 
 if TYPE_CHECKING:
     from discrepancy.compare import Comparison
@@ -90,9 +89,7 @@ def measurements_of(
 
 
 @contextmanager
-def solving(
-    workers: int | None, cache: Path | None, quiet: bool, again: str
-) -> Iterator[Solver]:
+def solving(workers: int | None, cache: Path | None, quiet: bool) -> Iterator[Solver]:
     """A solver that shows its progress on standard error.
 
     Parameters
@@ -102,12 +99,10 @@ def solving(
     cache : path or None
     quiet : bool
         Show nothing.
-    again : str
-        Command that goes on after Ctrl-C.
 
     Raises
     ------
-    Interrupted
+    Stopped
         At Ctrl-C, with the words for the user.
     """
     from discrepancy.solves import Solver
@@ -123,9 +118,9 @@ def solving(
             with solver:
                 yield solver
         except KeyboardInterrupt as stop:
-            raise Interrupted(
+            raise Stopped(
                 f"interrupted; {solver.solved} solves of this run are kept in "
-                f"{solver.cache}: the same command ({again}) goes on from there"
+                f"{solver.cache}: the same command goes on from there"
             ) from stop
 
 
@@ -146,7 +141,7 @@ def compare(
     from discrepancy.compare import compare as hold
     from discrepancy.study import Study
 
-    with solving(workers, cache, as_json, f"pba compare {file}") as solver:
+    with solving(workers, cache, as_json) as solver:
         study = Study(measured, solver, level=level, fast=level, effects=())
         found = hold(study)
     if as_json:
@@ -164,31 +159,22 @@ def show(found: Comparison) -> None:
     from .comparison import SOURCE_WORDS, calibration_text, quantity, verdict_text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("quantity")
-    heads = (
-        "readings",
-        "noise",
-        "",
-        "rmse\nas stated",
-        "rmse\ncalibrated",
-        "over\nnoise",
-        "held out\nover noise",
-    )
-    for head in heads:
-        table.add_column(head, justify="left" if not head else "right")
+    table.add_column("quantity", no_wrap=True)
+    table.add_column("readings", justify="right")
+    table.add_column("noise", no_wrap=True)
+    for head in ("rmse\nas stated", "rmse\ncalibrated", "over\nnoise", "held\nout"):
+        table.add_column(head, justify="right", no_wrap=True)
     for kind, error in found.errors.items():
         bench, noise = NUMBERS[kind[1]].bench, found.noise[kind]
-        cells: tuple[Any, ...] = (
+        table.add_row(
             quantity(kind),
             str(error.readings),
-            f"{bench.from_si(noise.value):.2g}",
-            SOURCE_WORDS[noise.source],
+            f"{bench.from_si(noise.value):.2g} {SOURCE_WORDS[noise.source]}",
             f"{bench.from_si(error.raw):.2g}",
             f"{bench.from_si(error.calibrated):.2g}",
             f"{error.residual:.1f}",
-            "-" if error.heldout != error.heldout else f"{error.heldout:.1f}",
+            "-" if math.isnan(error.heldout) else f"{error.heldout:.1f}",
         )
-        table.add_row(*cells)
     print_rich(table)
     print()
     for line in verdict_text(found):
