@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,3 +100,28 @@ class Chart:
         roots = np.roots([3 * m0 + 3 * m1 - 6 * rise, 6 * rise - 4 * m0 - 2 * m1, m0])
         inside = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 < r.real < 1]
         return self.start * (1 - (inside[0] if inside else m0 / (m0 - m1)))
+
+
+def expected_stress(chart: Chart, points: Sequence[Point], s: float) -> Array:
+    """Stress at a coordinate, by Lagrange's polynomial through the last points.
+
+    Parameters
+    ----------
+    chart : Chart
+    points : sequence of Point
+        At coordinates that differ.
+    s : float, m
+    """
+    known = [(chart.measure(point.x), point.stress) for point in points]
+    return extrapolate(known, s)
+
+
+def extrapolate(known: Sequence[tuple[float, Array]], where: float) -> Array:
+    """Lagrange's polynomial through (coordinate, value) pairs, from the last one."""
+    last = known[-1][1]
+    guess = last.copy()
+    for i, (here, value) in enumerate(known[:-1]):
+        others = [place for j, (place, _) in enumerate(known) if j != i]
+        weight = np.prod([(where - other) / (here - other) for other in others])
+        guess += weight * (value - last)  # what does not move stays, see Chart.at
+    return guess

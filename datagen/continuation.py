@@ -24,10 +24,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from .chart import Chart, Point
+from .chart import Chart, Point, expected_stress, extrapolate
 from .control import Counters, Options, Outcome, StepFailed
 from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
 from .linear import NotDefinite
+from .loading import loading_direction
 from .mixing import Mixing
 from .problem import Body, Problem
 from .response import OUTPUT_NAMES
@@ -72,6 +73,9 @@ class PathFollower:
             self._sensitivity = Sensitivity(problem, directions, self.workspace)
         self._remembers = any(law.history_size for law in problem.laws) or (
             self._sensitivity is not None and self._sensitivity.has_history
+        )
+        self._swells = any(
+            one.swellings for one in (problem, *(d.problem for d in directions))
         )
         self.counters = Counters()
         self.limit: Point | None = None
@@ -210,7 +214,14 @@ class PathFollower:
         """The point of the path at an equilibrium, with its direction there."""
         eq = self.equations
         ev = self._evaluate(x, pressure, dt, False)
-        load = self._refine(x, pressure, dt, ev)
+        load = loading_direction(
+            lambda nodes: self._evaluate(nodes, pressure, dt, False).residual,
+            eq,
+            self._solver,
+            x,
+            ev,
+            self.options,
+        )
         self._pending = ev.history
         direction = eq.extend(load)
         # The length of a step: mean movement of the cavity's walls, and a little of
@@ -260,35 +271,6 @@ class PathFollower:
             jacobian = np.full(shape, np.nan)
         return replace(point, jacobian=jacobian)
 
-    def _refine(self, x: Array, pressure: float, dt: float, ev: Evaluation) -> Array:
-        """Displacements a pascal: K u = dV/dx, by conjugate gradients.
-
-        The corrector's factorisation is the preconditioner; products with the tangent
-        at `x` are differences of residuals.  A poor tangent of the path costs more than
-        these few solves: it spoils the next predictions.
-        """
-        eq = self.equations
-        load = self._solver.solve(ev.volume_gradient)
-        scale = float(np.abs(load).max())
-        if scale == 0:  # a body without a cavity
-            return load
-        lack, aim, last = ev.volume_gradient.copy(), load, load * 0.0
-        load, before = last, 1.0
-        for _ in range(self.options.tangent_iterations):
-            weight = float(lack @ aim)
-            last = aim + weight / before * last if before != 1.0 else aim
-            before = weight
-            small = 1e-5 * self._thin / float(np.abs(last).max())
-            ahead = self._evaluate(x + small * eq.extend(last), pressure, dt, False)
-            product = (ahead.residual - ev.residual) / small
-            share = weight / float(last @ product)
-            load = load + share * last
-            lack = lack - share * product
-            aim = self._solver.solve(lack)
-            if float(np.abs(aim).max()) <= self.options.tangent_tolerance * scale:
-                break
-        return load
-
     # -- the path ------------------------------------------------------------------
 
     def _start(self) -> Point:
@@ -303,7 +285,7 @@ class PathFollower:
             target = min(1.0, share + step)
             eq.set_share(target)
             try:
-                guess = _extrapolate(known[-3:], target)
+                guess = extrapolate(known[-3:], target)
                 point = self._correct(guess, target * pressure, REST)
             except StepFailed:
                 self.counters.rejected += 1
@@ -315,16 +297,6 @@ class PathFollower:
             share, step = target, 1.5 * step if self._effort > 1 else 2.5 * step
             known.append((share, point.x))
         return point
-
-    def _expected_stress(self, chart: Chart, s: float) -> Array:
-        """Stress at a coordinate, by Lagrange's polynomial through the last points."""
-        where = [chart.measure(point.x) for point in self._last]
-        expected = self._last[-1].stress.copy()
-        for i, point in enumerate(self._last[:-1]):
-            others = [other for j, other in enumerate(where) if j != i]
-            weight = np.prod([(s - other) / (where[i] - other) for other in others])
-            expected += weight * (point.stress - self._last[-1].stress)
-        return expected
 
     def _accept(self, point: Point, x_predicted: Array, moved: float) -> None:
         """Move on to a point and choose the next step from the prediction's error."""
@@ -378,7 +350,7 @@ class PathFollower:
                     whole = max(abs(pressure - here.pressure), 1e-9)
                     dt *= min(1.0, abs(goal - here.pressure) / whole)
                 plane = None if hit or timed else (chart, s)
-                expected = self._expected_stress(chart, s)
+                expected = expected_stress(chart, self._last, s)
                 point = self._correct(x, goal, dt, plane, expected)
                 if _largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
@@ -404,34 +376,67 @@ class PathFollower:
             self._accept(point, x, abs(s))
             return hit
 
-    def _hold(self) -> None:
-        """Let time pass up to the target's at the pressure as it is.
+    def _settle(self, dt: float) -> None:
+        """Equilibrium at the pressure held, `dt` later, grown up to the target's time.
 
         Raises
         ------
         StepFailed
         """
-        if not self._remembers:
-            return
-        old, dt = self.point, self._due - self._clock
-        point = self._correct(old.x, old.pressure, dt)
-        if self._wants_derivatives(True):
-            point = self._differentiated(point, dt)
-        self._remember(point, dt)
-        self._clock = self._due
-        # The way here was another one; its shape is still the best guess of the next.
-        self._last = [
-            replace(
-                one,
-                x=one.x + (point.x - old.x),
-                stress=one.stress + (point.stress - old.stress),
-            )
-            for one in self._last[:-1]
-        ]
-        self._before = self._last[-1] if self._last and self._before else None
-        self._last.append(point)
-        self.point = point
-        self.counters.steps += 1
+        begun, done, part = self._clock, 0.0, 1.0
+        while done < 1:
+            old, part = self.point, min(part, 1.0 - done)
+            larger = self._grow(begun + (done + part) * (self._due - begun))
+            try:
+                x = self._enlarged(old.x, larger)
+                point = self._correct(x, old.pressure, part * dt, expected=old.stress)
+            except StepFailed:
+                self.counters.rejected += 1
+                self._definite = old.negative == 0
+                self._grow(begun + done * (self._due - begun))
+                part /= 4
+                if part < 1e-3:
+                    raise
+                continue
+            if self._wants_derivatives(dt > 0):
+                point = self._differentiated(point, part * dt)
+            self._remember(point, part * dt)
+            # The way here was another one; its shape is the best guess of the next.
+            self._last = [
+                replace(
+                    one,
+                    x=one.x + (point.x - old.x),
+                    stress=one.stress + (point.stress - old.stress),
+                )
+                for one in self._last[:-1]
+            ]
+            self._before = self._last[-1] if self._last and self._before else None
+            self._last.append(point)
+            self.point = point
+            self._definite = point.negative == 0
+            self.counters.steps += 1
+            done += part
+        self._clock += dt
+
+    def _grow(self, time: float) -> float:
+        """Let what swells be what it is at a time, s; how much larger than before."""
+        if not self._swells:
+            return 1.0
+        if self._sensitivity is not None:
+            self._sensitivity.set_time(time)
+        return self.equations.set_time(time)
+
+    def _enlarged(self, x: Array, factor: float) -> Array:
+        """Nodes (n, 3) as they would lie, factor times larger, but for what is held.
+
+        The pressure of a body does not depend on its size: it is the equilibrium away
+        from the clamp.
+        """
+        nodes, held = self.problem.nodes, self.problem.fixed[:, 2]
+        centre = np.array([0.0, 0.0, nodes[held, 2].mean() if held.any() else 0.0])
+        moved = (factor - 1.0) * (x - centre)
+        larger: Array = x + self.equations.extend(self.equations.restrict(moved))
+        return larger
 
     def _turn(self, heading: float) -> None:
         """Go along the path (1) or back (-1); a law with memory goes another way."""
@@ -511,12 +516,16 @@ class PathFollower:
             target = problem.pressure_gain * float(wanted) + problem.pressure_offset
             self._clock = float(times[i - 1] if i else min(0.0, times[0] - 1.0))
             self._due = float(times[i])
-            if target == self.point.pressure:
-                try:
-                    self._hold()
-                except StepFailed as failure:
-                    words = f"{failure.detail}, held at {self._at()}"
-                    return self._end(outcome, failure.status, words)
+            held = target == self.point.pressure
+            try:
+                if held and (self._remembers or self._swells):
+                    self._settle(self._due - self._clock)
+                elif self._swells:
+                    self._settle(0.0)
+            except StepFailed as failure:
+                words = f"{failure.detail}, held at {self._at()}"
+                return self._end(outcome, failure.status, words)
+            if held:
                 outcome.keep(i, self.point)
                 continue
             rising = (target > self.point.pressure) == (self.point.slope > 0)
@@ -543,7 +552,7 @@ class PathFollower:
                         outcome.keep(i, self.limit)
                     if far_enough is None:
                         return self._end(outcome, "limit_point", "")
-                if self.touching():
+                if problem.mesh.touching(self.point.x):
                     words = f"roof and floor touch at {self._at()}"
                     return self._end(outcome, "contact", words)
                 if reached or keep_all or self.limit is not None:
@@ -567,31 +576,10 @@ class PathFollower:
         pressure = (point or self.point).pressure
         return f"{gauge(self.problem, pressure) / 1e3:.4g} kPa"
 
-    def touching(self) -> bool:
-        """True when a roof node has gone through the floor node under it."""
-        mesh, x = self.problem.mesh, self.point.x
-        across = x[mesh.gap[:, 1]] - x[mesh.gap[:, 0]]
-        side = across[mesh.gap_wall]
-        through = np.sum(across * side, axis=1) <= 0
-        # Far apart they may well stand at an angle: a wall that a large balloon turns.
-        near = np.linalg.norm(across, axis=1) <= np.linalg.norm(side, axis=1)
-        return bool((through & near).any())
-
 
 def _largest(field: Array) -> float:
     """Largest component of a nodal field."""
     return float(np.abs(field).max())
-
-
-def _extrapolate(known: list[tuple[float, Array]], where: float) -> Array:
-    """Lagrange's polynomial through (share, position) pairs, from the last one."""
-    last = known[-1][1]
-    guess = last.copy()
-    for i, (here, x) in enumerate(known[:-1]):
-        others = [share for j, (share, _) in enumerate(known) if j != i]
-        weight = np.prod([(where - other) / (here - other) for other in others])
-        guess += weight * (x - last)  # held displacements stay held, see Chart.at
-    return guess
 
 
 def gauge(problem: Body, pressure: float) -> float:

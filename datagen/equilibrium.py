@@ -259,7 +259,19 @@ class Equilibrium:
         self._one_law = problem.laws[0] == problem.laws[1] and not any(
             law.history_size for law in problem.laws
         )
+        self._size = self._swollen(0.0)
         self.set_share(1.0)
+
+    def _swollen(self, time: float) -> float:
+        """Stretch by swelling at a time, s."""
+        return float(np.prod([1.0 + one(time) for one in self.problem.swellings]))
+
+    def set_time(self, time: float) -> float:
+        """Let the body be swollen as it is at a time, s; how much larger it has got."""
+        old, self._size = self._size, self._swollen(time)
+        if self._size != old:
+            self.set_share(1.0)
+        return self._size / old
 
     def set_share(self, share: float) -> None:
         """Let this share of growth and weight act; the way to a start at rest."""
@@ -268,6 +280,9 @@ class Equilibrium:
         if problem.growth is not None:
             unit = np.eye(3)
             growth = unit + share * (problem.growth - unit)
+        if problem.swellings:
+            same = np.tile(np.eye(3), (len(mesh.cells), 1, 1))
+            growth = self._size * (same if growth is None else growth)
         self.data = el.element_data(problem.nodes, mesh.cells, growth)
         body = np.zeros(problem.nodes.shape)
         if problem.density.any() and problem.gravity.any():

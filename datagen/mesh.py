@@ -279,6 +279,21 @@ class Mesh:
     gap: Array
     gap_wall: Array
 
+    def touching(self, x: Array) -> bool:
+        """True when a roof node has gone through the floor node under it.
+
+        Parameters
+        ----------
+        x : (n, 3) array, m
+            Deformed nodes.
+        """
+        across = x[self.gap[:, 1]] - x[self.gap[:, 0]]
+        side = across[self.gap_wall]
+        through = np.sum(across * side, axis=1) <= 0
+        # Far apart they may well stand at an angle: a wall that a large balloon turns.
+        near = np.linalg.norm(across, axis=1) <= np.linalg.norm(side, axis=1)
+        return bool((through & near).any())
+
 
 @dataclass(frozen=True)
 class StripMesh(Mesh):

@@ -8,7 +8,7 @@ stage           fields
 geometry        nodes: the device as it was made, straight
 initial shape   nodes, datum: how it lies without any load
 material        laws, shear_modulus, bulk_modulus, skins
-initial strain  growth
+initial strain  growth, swellings
 body force      density, gravity
 boundary        fixed, springs
 load            pressure_gain, pressure_offset, gas
@@ -45,6 +45,9 @@ STAGES = (
     "observation",
 )
 """The fixed order in which effects act, whatever the order they are named in."""
+
+Swelling = Callable[[float], float]
+"""Time, s, to the linear strain of the whole body since; 0 at time 0 and before."""
 
 Observer = Callable[[dict[str, float], Array, Array], dict[str, float]]
 """(outputs by name, nodes of the datum, deformed nodes) to outputs, SI."""
@@ -86,6 +89,8 @@ class Body:
     gas : (e,) array or None
         Share of each element that is filled with gas at the pressure of the cavities;
         its moduli and density are those of what is left of the solid.
+    swellings : tuple of Swelling
+        Strains that come with time: Fg becomes Fg times 1 + strain of each.
     """
 
     mesh: Mesh
@@ -105,6 +110,7 @@ class Body:
     springs: tuple[Springs, ...] = ()
     skins: tuple[Skin, ...] = ()
     gas: Array | None = None
+    swellings: tuple[Swelling, ...] = ()
 
     @property
     def loaded_at_rest(self) -> bool:
@@ -122,7 +128,7 @@ class Problem(Body):
     ----------
     mesh, thin, nodes, laws, shear_modulus, bulk_modulus, growth, density, gravity,
     fixed, pressure_gain, pressure_offset, forces, local_share, springs, skins,
-    gas
+    gas, swellings
         See `Body`.
     design : Design
         What the problem was made from.

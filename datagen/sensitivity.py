@@ -149,18 +149,25 @@ class Sensitivity:
         # stay they shear a bent strip, and a millionth of that is not linear any more.
         steps = np.array([abs(one.step) for one in self.directions])
         open_columns = np.arange(len(self.directions))
+        guess, first = self._follow.copy(), np.zeros(len(self.directions))
         for _ in range(PASSES):
             change = solver.solve(
                 np.stack([lack(int(k)) for k in open_columns], axis=1)
             )
+            moved = np.abs(change).max(axis=0)
+            if not first.any():
+                first = moved
             self._follow[:, open_columns] += change
             size = np.maximum(
                 CLOSE * np.abs(self._follow[:, open_columns]).max(axis=0),
                 NOTHING * problem.thin / steps[open_columns],
             )
-            open_columns = open_columns[np.abs(change).max(axis=0) > size]
+            open_columns = open_columns[moved > size]
             if not len(open_columns):
                 break
+        away = open_columns[moved[moved > size] > first[open_columns]]
+        # Where it went astray, another try had better start from the guess again.
+        self._follow[:, away] = guess[:, away]
         self._known[-1] = (where, self._follow.copy())
         if len(open_columns):
             return None
@@ -173,6 +180,11 @@ class Sensitivity:
             after = self._read_ahead[k].read(x, volume)
             jacobian[:, k] = (after - values) / direction.step
         return jacobian
+
+    def set_time(self, time: float) -> None:
+        """Let every problem ahead be swollen as it is at a time, s."""
+        for ahead in self._ahead:
+            ahead.set_time(time)
 
     def keep(self, point: Point, dt: float) -> None:
         """Let the step that led to a visited point be part of the laws' history."""

@@ -134,10 +134,13 @@ class Search:
     study : Study
     seed : int
         Of the samples behind the evidence.
+    solves : bool
+        Whether to solve at all; False ranks with what the study has.
     """
 
     study: Study
     seed: int = 0
+    solves: bool = True
     unjudged: dict[str, str] = field(default_factory=dict)
 
     def run(self) -> Ranking:
@@ -158,6 +161,13 @@ class Search:
             if why:
                 self.unjudged[name] = why
         names = [name for name in study.effects if name not in self.unjudged]
+        if self.solves:
+            self._solve_first(names)
+        return [name for name in names if self._shown(name)]
+
+    def _solve_first(self, names: Sequence[str]) -> None:
+        """One solve along each parameter, of a smaller effect where paths end early."""
+        study = self.study
         open_ones = [(name, t) for name in names for t in study.first(name)]
         for _ in range(4):
             found = study.solve([((n,), t) for n, t in open_ones], "one effect each")
@@ -169,20 +179,20 @@ class Search:
             open_ones = again
             if not again:
                 break
-        judged = []
-        for name in names:
-            present = study.present((name,))
-            if present is None:
-                self.unjudged[name] = "its paths end before the first measured pressure"
-                continue
-            moved = present.curves.values - present.curves.values[0]
-            if float(np.abs(moved / study.readings.noise).max()) < UNSEEN:
-                self.unjudged[name] = (
-                    "it moves no reading by a tenth of the noise along these paths"
-                )
-                continue
-            judged.append(name)
-        return judged
+
+    def _shown(self, name: str) -> bool:
+        """Whether the readings can show an effect; why not is noted."""
+        present = self.study.present((name,))
+        if present is None:
+            self.unjudged[name] = "its paths end before the measured pressures"
+            return False
+        moved = present.curves.values - present.curves.values[0]
+        seen = float(np.abs(moved / self.study.readings.noise).max()) >= UNSEEN
+        if not seen:
+            self.unjudged[name] = (
+                "it moves no reading by a tenth of the noise along these paths"
+            )
+        return seen
 
     def weigh_singles(self, names: Sequence[str]) -> list[Fit]:
         study = self.study
@@ -193,7 +203,7 @@ class Search:
 
     def refine(self, fits: list[Fit]) -> list[Fit]:
         """Solve contenders at their best fits until their curves are known there."""
-        for _ in range(ROUNDS):
+        for _ in range(ROUNDS if self.solves else 0):
             best = max(one.log_evidence for one in fits)
             wanted = [
                 one
@@ -260,7 +270,7 @@ class Search:
             tried.append(fit(study.readings, present, starts=[start], seed=self.seed))
         tried.sort(key=lambda one: -one.log_evidence)
         promising = [one for one in tried if one.log_evidence > best + 1.0][:PAIRS]
-        for _ in range(2):
+        for _ in range(2 if self.solves else 0):
             found = study.solve(
                 [(_effects(one), one.t) for one in promising], "pairs of effects"
             )

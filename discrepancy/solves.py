@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path as FilePath
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -158,7 +159,7 @@ class Solved:
                     message=texts["message"],
                     seconds=texts["seconds"],
                 )
-        except (OSError, ValueError, KeyError, EOFError):
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
             return None
 
 

@@ -8,6 +8,7 @@ the model's mesh; what an effect changes is solved on a faster one and added.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -167,6 +168,7 @@ class Study:
     ) -> None:
         self.measurements, self.solver = measurements, solver
         self.level, self.fast = level, fast
+        self.folder = effects_dir
         self.effects_dir = str(effects_dir) if effects_dir is not None else None
         known = catalogue(effects_dir)
         for name in effects or ():
@@ -180,7 +182,19 @@ class Study:
         self.warnings: list[str] = []
         self.cells = self._measured()
         self._nodes: dict[tuple[tuple[str, ...], tuple[float, ...]], Node] = {}
+        self._present: dict[tuple[str, ...], tuple[int, Present]] = {}
         self._read()
+
+    def with_readings(self, readings: Readings) -> Study:
+        """The same solves under other readings of the same curves."""
+        if len(readings.value) != len(self.readings.value):
+            raise InputError(
+                "readings", len(readings.value), "as many as were measured"
+            )
+        other = copy(self)
+        other.__dict__.pop("_shapes", None)
+        other.readings = readings
+        return other
 
     # -- readings ------------------------------------------------------------------
 
@@ -533,7 +547,7 @@ class Study:
 
     @cached_property
     def _places(self) -> tuple[list[list[tuple[int, int, float]]], int]:
-        """(column, field or -1 for value, factor) of each reading's calibrations."""
+        """(column, field or -1 for the value, factor) of calibrations, by reading."""
         known: dict[tuple[object, ...], int] = {}
         allowed = self.measurements.tolerances
         found = []
@@ -615,6 +629,9 @@ class Study:
         where nothing but the baseline has been solved.
         """
         names = tuple(sorted(names))
+        ready = self._present.get(names)
+        if ready is not None and ready[0] == len(self._nodes):
+            return ready[1]
         priors = self.priors(names)
         off = np.array([p.off for p in priors])
         base = self._nodes[(), ()]
@@ -645,7 +662,7 @@ class Study:
             span,
         )
         fields = np.stack([node.fields.reshape(-1) for node, _ in found])
-        return Present(
+        made = Present(
             name="+".join(names),
             effects=names,
             priors=priors,
@@ -655,6 +672,8 @@ class Study:
                 np.array(nodes), fields, np.full((*fields.shape, k), np.nan), span
             ),
         )
+        self._present[names] = (len(self._nodes), made)
+        return made
 
 
 def _traits(specimen: object) -> Array:

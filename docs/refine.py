@@ -6,8 +6,8 @@ stopped; docs/refinement.md is written from what is there.
 
 Family ``mixed`` is the product's element: the change of volume projected on a linear
 field, two percent of it local.  Family ``displacement`` projects nothing
-(``local_share = 1``).  The first is too soft and the second too stiff where a mesh is
-coarse, and both converge to the same answer.
+(``local_share = 1``) and is stiffer where a mesh is coarse.  Both converge to the same
+answer, neither from one side only.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def name_of(case: int, family: str, mesh: str) -> str:
     return f"case {case}, {family}, mesh {mesh}"
 
 
-def settled(runs: dict[str, Any], case: int, quantity: str) -> tuple[Any, Any, str]:
-    """Answer between the two families on their finest common mesh, and its error bar.
+def settled(runs: dict[str, Any], case: int, quantity: str) -> tuple[Any, Any]:
+    """Estimate from the two families on their finest common mesh, and its error bar.
 
     Both families are extrapolated from their last two meshes as if the error fell by
     the factor it fell by between the last three, or by 2 where that is less.  The
@@ -87,7 +87,6 @@ def settled(runs: dict[str, Any], case: int, quantity: str) -> tuple[Any, Any, s
     Returns
     -------
     value, bar : (s,) arrays, um
-    mesh : str
     """
     meshes = [
         level.name
@@ -106,7 +105,7 @@ def settled(runs: dict[str, Any], case: int, quantity: str) -> tuple[Any, Any, s
         shifts.append(np.abs(change) / (factor - 1))
     value = (limits[0] + limits[1]) / 2
     bar = np.abs(limits[0] - limits[1]) / 2 + np.maximum(*shifts) / 2
-    return value, bar, meshes[-1]
+    return value, bar
 
 
 def page(runs: dict[str, Any]) -> str:
@@ -116,8 +115,10 @@ def page(runs: dict[str, Any]) -> str:
         "",
         "The published device S1, contract law, by two element families on meshes that "
         "are refined together (`docs/refine.py`): the product's mixed element, and the "
-        "same element without projection. The one is soft and the other stiff on a "
-        "coarse mesh; what lies between them does not depend on either.",
+        "same element without projection. Both converge to the same answer, the "
+        "second more slowly; neither bounds it. The settled value is the mean of the "
+        "two, each extrapolated from its last meshes, and its error bar is half their "
+        "distance and half of the larger extrapolation: an estimate, not a bracket.",
         "",
         "Written by `make refinement` from `docs/refinement.json`. All in um.",
     ]
@@ -136,7 +137,6 @@ def page(runs: dict[str, Any]) -> str:
                 "family",
                 "mesh",
                 "unknowns",
-                "s",
                 *(f"{p:g} kPa" for p in PRESSURES),
             ]
             lines += [f"| {' | '.join(head)} |", "| --- " * len(head) + "|"]
@@ -147,7 +147,6 @@ def page(runs: dict[str, Any]) -> str:
                     family,
                     level.name,
                     str(found["unknowns"]),
-                    str(found["seconds"]),
                 ]
                 lines.append(f"| {' | '.join([*first, *cells])} |")
             common = [
@@ -156,9 +155,9 @@ def page(runs: dict[str, Any]) -> str:
                 if all(name_of(case, f, level.name) in runs for f in FAMILIES)
             ]
             if len(common) >= 2:
-                value, bar, _ = settled(runs, case, quantity)
+                value, bar = settled(runs, case, quantity)
                 cells = [f"{v:.2f} ± {b:.2f}" for v, b in zip(value, bar, strict=True)]
-                lines.append(f"| **settled** | | | | {' | '.join(cells)} |")
+                lines.append(f"| **settled** | | | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -20,6 +20,7 @@ from typer import Argument, Option
 
 from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
 
+from .challenge import challenge_app
 from .discrepancy import compare
 from .effects import effects_app
 from .options import (
@@ -35,6 +36,7 @@ from .options import (
     number,
     whole,
 )
+from .rank import rank
 from .terminal import Stopped, print_json, print_rich, waiting
 
 if TYPE_CHECKING:
@@ -55,6 +57,8 @@ app = typer.Typer(
 )
 app.add_typer(effects_app, name="effects")
 app.command()(compare)
+app.command()(rank)
+app.add_typer(challenge_app, name="challenge")
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""``pba compare``, and what commands on a measurement file share.
+"""``pba compare``, and what it shares with ``pba rank``.
 
 Options of the stated tolerances, the solver with its progress bar, and what Ctrl-C
 leaves: solves that are kept, so that the same command goes on where it was.
@@ -40,6 +40,7 @@ ThicknessTolerance = Annotated[
     float,
     Option(
         "--thickness-tolerance-um",
+        "--thickness-tolerance",
         help="Standard deviation of each layer's thickness, in um.",
         parser=number("--thickness-tolerance-um", 0, 100, "um"),
         metavar="UM",
@@ -88,6 +89,13 @@ def measurements_of(
     return read_measurements(file, allowed)
 
 
+def cores() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @contextmanager
 def solving(workers: int | None, cache: Path | None, quiet: bool) -> Iterator[Solver]:
     """A solver that shows its progress on standard error.
@@ -113,7 +121,7 @@ def solving(workers: int | None, cache: Path | None, quiet: bool) -> Iterator[So
         def update(now: Progress) -> None:
             bar.update(shown, description=now.what, completed=now.done, total=now.total)
 
-        solver = Solver(workers or os.cpu_count() or 1, cache, update)
+        solver = Solver(workers or cores(), cache, update)
         try:
             with solver:
                 yield solver

@@ -37,8 +37,10 @@ from .trial import (
 
 Array = np.ndarray
 
-DEPARTURES = (1e-2, 1e-3)
-"""Of the way from off to the end of the range; the effect has to fade between them."""
+DEPARTURES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+"""Of the way from off to the end of the range; the effect has to fade from one to the
+next.  The first two tell for most; an effect that is saturated there, as a support a
+thousand times softer than the body, is followed closer to off.  A jump stays a jump."""
 
 LEAST_ORDER = 0.4
 """Of the fading with the departure: 1 where the outputs have a slope, 0 for a jump."""
@@ -191,7 +193,9 @@ def continuous(subject: Subject) -> Finding:
     """Close to off the outputs tend to the baseline's, without a jump."""
     numbers: dict[str, float] = {}
     for up in subject.rays:
-        sizes = []
+        sizes: list[Array] = []
+        shares: list[float] = []
+        jumps = np.ones(1, dtype=bool)
         for share in DEPARTURES:
             values = subject.towards(up, share)
             if values == subject.effect.off:
@@ -200,20 +204,25 @@ def continuous(subject: Subject) -> Finding:
             if found.path_status != ("completed",):
                 words = f"no path at {spelled(values)}: {_end(found)}"
                 return Finding(False, words, {})
-            sizes.append(subject.ground.change(found))
+            sizes = [*sizes, subject.ground.change(found)][-2:]
+            shares = [*shares, share][-2:]
+            if len(sizes) < 2:
+                continue
+            # Each output by itself: a smooth large one must not hide another's jump.
+            jumps = (sizes[1] > NOISE) & (
+                sizes[1] > sizes[0] * (shares[1] / shares[0]) ** LEAST_ORDER
+            )
+            if not jumps.any():
+                break
         far, near = (float(size.max()) for size in sizes)
-        # Each output by itself: a smooth large one must not hide the jump of another.
-        jumps = (sizes[1] > NOISE) & (
-            sizes[1] > sizes[0] * (DEPARTURES[1] / DEPARTURES[0]) ** LEAST_ORDER
-        )
         side = "upwards" if up else "downwards"
         numbers |= {f"change_{side}_far": far, f"change_{side}_near": near}
         if jumps.any():
             k = int(np.argmax(np.where(jumps, sizes[1], 0.0)))
             words = (
                 f"{OUTPUT_NAMES[k]} jumps: it changes by {sizes[0][k]:.1e} at "
-                f"{spelled(subject.towards(up, DEPARTURES[0]))} and still by "
-                f"{sizes[1][k]:.1e} at {spelled(subject.towards(up, DEPARTURES[1]))}"
+                f"{spelled(subject.towards(up, shares[0]))} and still by "
+                f"{sizes[1][k]:.1e} at {spelled(subject.towards(up, shares[1]))}"
             )
             return Finding(False, words, numbers)
     words = ", ".join(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from discrepancy import missing, regions
+from discrepancy.evidence import Prediction, fit
 from discrepancy.missing import Residuals, Score, Units, combined, overall, scores
+from discrepancy.study import Null
 
 from .synthetic import devices
 
@@ -121,8 +125,8 @@ def test_whitened_residuals_are_white() -> None:
 def test_region_is_found_where_it_is() -> None:
     """10 % less above 30 % of the pressure, in the three thinnest of eight."""
     rng = np.random.default_rng(8)
-    fit, labels = devices(rng, 8, effect=-0.1, begin=3 / 7, thin=3)
-    p, found = regions.regions(fit, labels)
+    made, labels = devices(rng, 8, effect=-0.1, begin=3 / 7, thin=3)
+    p, found = regions.regions(made, labels)
     region = found[0]
     assert p == 1 / 200 and len(found) == 1
     assert region.trait == "upper_thickness" and not region.above
@@ -131,13 +135,13 @@ def test_region_is_found_where_it_is() -> None:
     assert region.growth == regions.GROWING and not region.whole
     assert 10e3 < region.low < 30e3 and region.high == pytest.approx(50e3)
     assert abs(region.size + 0.1) < 3 * region.error < 0.06
-    assert set(fit.readings.device[region.at]) == {0, 1, 2}
+    assert set(made.readings.device[region.at]) == {0, 1, 2}
 
 
 def test_region_of_all_devices() -> None:
     rng = np.random.default_rng(9)
-    fit, labels = devices(rng, 6, effect=0.08)
-    _, found = regions.regions(fit, labels)
+    made, labels = devices(rng, 6, effect=0.08)
+    _, found = regions.regions(made, labels)
     assert found[0].trait == "" and found[0].devices == 6
     assert found[0].size > 0
 
@@ -146,3 +150,26 @@ def test_no_region_in_mere_errors() -> None:
     rng = np.random.default_rng(10)
     found = [regions.regions(*devices(rng, 6))[1] for _ in range(20)]
     assert sum(bool(one) for one in found) <= 3
+
+
+def test_a_group_of_one_device_can_be_held_out() -> None:
+    """An unknown effect has shapes for each group; one of them has no reading left."""
+    rng = np.random.default_rng(11)
+    made, _ = devices(rng, 4, calibrated=False)
+    readings = replace(made.readings, group=np.repeat([0, 1, 0, 0], 7))
+    shapes = tuple((readings.group == g)[:, None] * 1.0 for g in (0, 1))
+    nothing = made.hypothesis.predict(made.t)
+    unknown = Null("unknown", nothing, shapes)
+    alone = readings.device == 1
+    others = fit(readings, unknown, keep=~alone, evidence=False)
+    same = fit(
+        readings.subset(~alone),
+        Null(
+            "unknown",
+            Prediction(*(part[~alone] for part in nothing)),
+            (shapes[0][~alone],),
+        ),
+        evidence=False,
+    )
+    assert np.allclose(others.predict()[~alone], same.predict())
+    assert np.allclose(others.predict()[alone], nothing.values[alone])

@@ -1,0 +1,165 @@
+"""A ranking in words and as the contract's JSON object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from .experiment import Proposal
+from .rank import Candidate, Ranking
+
+AT_THE_END = 0.05
+"""Share of a range at its end in which a fitted value counts as hardly plausible."""
+
+
+def parameters_of(one: Candidate) -> dict[str, dict[str, Any]]:
+    """Fitted parameters by name; ``effect.parameter`` where several effects act."""
+    fit = one.fit
+    rows = zip(
+        fit.hypothesis.priors, fit.mean(), fit.std(), fit.interval(), strict=True
+    )
+    found = {}
+    for prior, mean, std, (low, high) in rows:
+        p = prior.parameter
+        name = p.name if len(one.effects) > 1 else p.name.split(".", 1)[1]
+        edge = AT_THE_END * (p.upper - p.lower)
+        ends = [end for end in (p.lower, p.upper) if end != p.off]
+        found[name] = {
+            "value": float(mean),
+            "std": float(std),
+            "unit": p.unit,
+            "low": float(low),
+            "high": float(high),
+            "range": [float(p.lower), float(p.upper)],
+            "plausible": all(abs(mean - end) > edge for end in ends),
+            "source": p.source,
+        }
+    return found
+
+
+def label(one: Candidate) -> str | list[str]:
+    """Name of an effect, or the names of several; ``nothing`` and ``unknown``."""
+    names = list(one.effects) + (["unknown"] if one.unnamed else [])
+    if not names:
+        return "nothing"
+    return names[0] if len(names) == 1 else names
+
+
+def to_json(
+    ranking: Ranking,
+    fails_where: Sequence[dict[str, Any]] = (),
+    proposals: Sequence[Proposal] = (),
+) -> dict[str, Any]:
+    """The contract's object of ``pba rank --json``."""
+    return {
+        "verdict": ranking.verdict,
+        "effects": [name for group in ranking.effects for name in group.split("+")]
+        if len(ranking.effects) == 1
+        else [group.split("+") if "+" in group else group for group in ranking.effects],
+        "sentence": sentence(ranking, proposals),
+        "ranking": [
+            {
+                "effect": label(one),
+                "probability": one.probability,
+                "parameters": parameters_of(one),
+                "heldout_error": _finite(one.heldout_error),
+                "tied_with": [
+                    name.split("+") if "+" in name else name for name in one.tied_with
+                ],
+                "log_evidence": one.fit.log_evidence,
+            }
+            for one in ranking.candidates
+        ],
+        "baseline_error": _finite(ranking.baseline_error),
+        "noise_floor": _finite(ranking.noise_floor),
+        "fails_where": list(fails_where),
+        "next_measurement": [proposal_json(one) for one in proposals[:3]],
+        "confusion": {
+            "names": list(ranking.confused),
+            "matrix": ranking.confusion.tolist(),
+        },
+        "not_judged": dict(ranking.unjudged),
+        "warnings": list(ranking.warnings),
+    }
+
+
+def proposal_json(one: Proposal) -> dict[str, Any]:
+    """A proposal as data: what, on which device, and what it is expected to bring."""
+    curve = one.curve
+    tensile = curve.specimen == "tensile"
+    data: dict[str, Any] = {
+        "text": one.words,
+        "specimen": curve.specimen,
+        "device": curve.device,
+        "orientation_deg": math.degrees(curve.orientation),
+        "branch": list(map(str, curve.branch)),
+        "chi_square_now": one.now,
+        "chi_square_then": one.then,
+        "probability_right": one.probability,
+        "nearest": list(one.between),
+    }
+    if tensile:
+        data["stretch"] = curve.load.tolist()
+    else:
+        data["pressure_kPa"] = (curve.load / 1e3).tolist()
+    return data
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def shown(name: str) -> str:
+    """An effect's name as people write it."""
+    return " and ".join(part.replace("_", " ") for part in name.split("+"))
+
+
+def sizes(one: Candidate) -> str:
+    """Fitted sizes with 90 % intervals."""
+    rows = []
+    for name, p in parameters_of(one).items():
+        unit = f" {p['unit']}" if p["unit"] != "1" else ""
+        rows.append(
+            f"{name.replace('_', ' ')} {p['value']:.3g}{unit} "
+            f"({p['low']:.3g} to {p['high']:.3g})"
+        )
+    return ", ".join(rows)
+
+
+def sentence(ranking: Ranking, proposals: Sequence[Proposal] = ()) -> str:
+    """The verdict in words for the engineer at the bench."""
+    best = next((c for c in ranking.candidates if c.effects and not c.unnamed), None)
+    nothing = ranking.candidate("nothing")
+    if ranking.verdict == "adequate":
+        return (
+            "Nothing is shown to be missing: the baseline, calibrated within its "
+            "tolerances, explains these readings (probability "
+            f"{nothing.probability:.0%})."
+        )
+    if ranking.verdict == "unexplained":
+        near = f" The nearest is {shown(best.name)}." if best else ""
+        return (
+            "Something is missing that no known effect explains." + near + " Describe "
+            "what you suspect as an effect of your own: docs/writing-an-effect.md."
+        )
+    assert best is not None
+    if ranking.verdict == "identified":
+        odd = [n for n, p in parameters_of(best).items() if not p["plausible"]]
+        warning = (
+            f" Mind that {', '.join(odd)} is at the end of what the literature gives."
+            if odd
+            else ""
+        )
+        return (
+            f"Missing: {shown(best.name)} (probability {best.probability:.0%}), "
+            f"{sizes(best)}.{warning}"
+        )
+    names = [shown(name) for name in ranking.effects]
+    text = (
+        f"Something is missing, but {', '.join(names[:-1])} and {names[-1]} cannot be "
+        "told apart by these readings."
+    )
+    if proposals and proposals[0].then > proposals[0].now + 1:
+        text += f" To split them, {proposals[0].words}."
+    return text

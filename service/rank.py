@@ -1,0 +1,109 @@
+"""``pba rank``: which physical effect does the model lack."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from rich.markup import escape
+from rich.table import Table
+from typer import Option
+
+from .discrepancy import (
+    Cache,
+    CameraTolerance,
+    MeasurementFile,
+    ModulusTolerance,
+    ThicknessTolerance,
+    Workers,
+    measurements_of,
+    solving,
+)
+from .options import AsJson, EffectsDir, Level, whole
+from .terminal import print_json, print_rich
+
+if TYPE_CHECKING:
+    from discrepancy.rank import Ranking
+
+ROWS = 8
+"""Candidates shown to people; JSON has them all."""
+
+
+def rank(
+    file: MeasurementFile,
+    effects_dir: EffectsDir = None,
+    effects: Annotated[
+        str,
+        Option(metavar="A,B,...", help="Candidates; the whole catalogue by default."),
+    ] = "",
+    level: Level = "standard",
+    modulus_tolerance: ModulusTolerance = 5.0,
+    thickness_tolerance: ThicknessTolerance = 3.0,
+    camera_tolerance: CameraTolerance = 0.5,
+    workers: Workers = None,
+    cache: Cache = None,
+    seed: Annotated[
+        int,
+        Option(help="Of the samples.", parser=whole("--seed", 0, 2**31), metavar="N"),
+    ] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Learn which physical effect the model lacks, from measurements.
+
+    Finished solves are kept: a run that was stopped goes on where it was.
+    """
+    from discrepancy.answer import sentence, to_json
+    from discrepancy.experiment import next_measurement
+    from discrepancy.rank import Search
+    from discrepancy.study import Study
+
+    measured = measurements_of(
+        file, modulus_tolerance, thickness_tolerance, camera_tolerance
+    )
+    names = [name for name in effects.split(",") if name] or None
+    with solving(workers, cache, as_json) as solver:
+        study = Study(
+            measured, solver, level=level, effects=names, effects_dir=effects_dir
+        )
+        ranking = Search(study, seed).run()
+        proposals = next_measurement(study, ranking)
+    warnings = [*measured.warnings, *ranking.warnings]
+    if as_json:
+        answer = to_json(ranking, proposals=proposals)
+        print_json(answer | {"warnings": warnings, "file_sha256": measured.sha256})
+        return
+    print(sentence(ranking, proposals))
+    print()
+    print_rich(ranking_table(ranking))
+    print(
+        f"\nError on devices that were left out, in noise: baseline "
+        f"{ranking.baseline_error:.2f}, with the right physics about "
+        f"{ranking.noise_floor:.2f}."
+    )
+    for one in proposals[:3]:
+        print(
+            f"Next: {one.words}: the nearest two would then be told apart with "
+            f"probability {one.probability:.0%}."
+        )
+    for name, why in ranking.unjudged.items():
+        print(f"Not judged: {name}: {why}.")
+    for line in warnings:
+        print(f"Warning: {line}")
+
+
+def ranking_table(ranking: Ranking) -> Table:
+    """Best candidates with probabilities, sizes and held-out errors."""
+    from discrepancy.answer import label, sizes
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for head in ("effect", "probability", "held-out error", "size (90 % interval)"):
+        table.add_column(head)
+    for i, one in enumerate(ranking.candidates):
+        if i >= ROWS and one.name != "nothing":
+            continue
+        names = label(one)
+        name = names if isinstance(names, str) else " + ".join(names)
+        error = (
+            f"{one.heldout_error:.2f}" if one.heldout_error == one.heldout_error else ""
+        )
+        table.add_row(escape(name), f"{one.probability:.3f}", error, escape(sizes(one)))
+    return table

@@ -1,0 +1,301 @@
+"""Trials of the ranking: readings made with a known effect, without new solves.
+
+Ten devices of a lab are solved once with every effect at a few sizes.  A trial draws an
+effect, its size, calibrations, smooth errors and noise, makes readings from the
+interpolated curves, and ranks them with the same curves: thousands of trials cost no
+finite elements.  What interpolation and meshes add is tested elsewhere, by sets of
+`pba challenge` that are solved on other meshes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from datagen.device import Design
+from discrepancy.measurement import Curve, Measurements
+from discrepancy.noise import Readings
+from discrepancy.rank import Ranking, Search
+from discrepancy.solves import Solver
+from discrepancy.study import Present, Study
+
+Array = np.ndarray
+
+PRESSURES = np.linspace(10e3, 70e3, 7)
+QUANTITIES = ("tip_deflection", "inflation")
+
+A, B = 4.5e6, 2.5e6
+
+
+def lab(count: int = 10) -> list[Design]:
+    """Devices that a lab might make in a week: two batches, varied sizes."""
+    rng = np.random.default_rng(20)
+    designs = []
+    for i in range(count):
+        upper, lower = ((B, A), (A, B), (A, A), (B, B))[i % 4]
+        designs.append(
+            Design.from_sample(
+                {
+                    "balloon_length": 1e-3 * rng.uniform(3.0, 6.0),
+                    "divisions_x": 2 if i in (4, 9) else 1,
+                    "divisions_y": 1,
+                    "wall": 0.2e-3,
+                    "balloon_start": 1e-3 * rng.uniform(0.8, 1.5),
+                    "tip_margin": 1.25e-3,
+                    "balloon_width": 1e-3 * rng.uniform(0.8, 1.3),
+                    "rim": 0.5e-3,
+                    "cavity_height": 75e-6,
+                    "upper_thickness": 1e-6 * round(rng.uniform(75, 130)),
+                    "lower_thickness": 1e-6 * round(rng.uniform(110, 170)),
+                    "upper_modulus": upper,
+                    "lower_modulus": lower,
+                }
+            )
+        )
+    return designs
+
+
+def loaded(design: Design, name: str, unloading: bool) -> Curve:
+    """An empty curve of a device: load steps, and noise to be set."""
+    pressure = PRESSURES
+    branch = ["loading"] * len(pressure)
+    if unloading:
+        pressure = np.concatenate([pressure, pressure[-2::-1]])
+        branch += ["unloading"] * (len(pressure) - len(branch))
+    steps = len(pressure)
+    return Curve(
+        device=name,
+        run=1,
+        orientation=0.0,
+        design=design,
+        load=pressure,
+        time=10.0 * np.arange(1, steps + 1) if unloading else None,
+        branch=np.array(branch),
+        outputs=QUANTITIES,
+        values=np.ones((steps, len(QUANTITIES))),
+        std=np.full((steps, len(QUANTITIES)), 1e-6),
+    )
+
+
+def smooth_error(rng: np.random.Generator, place: Array) -> Array:
+    """A random smooth curve of variance about one: four Legendre polynomials.
+
+    Not the kernel that the ranking assumes, on purpose.
+    """
+    shape: Array = np.polynomial.legendre.legval(
+        2 * place - 1, rng.normal(size=4) / np.sqrt([1.0, 1.0, 2.0, 4.0]) / 1.3
+    )
+    return shape
+
+
+@dataclass
+class Lab:
+    """A study of devices whose curves are known with every effect.
+
+    Parameters
+    ----------
+    solver : Solver
+    devices : int
+    unloading : bool
+        Whether the paths come back, with times.
+    effects : sequence of str, optional
+    """
+
+    solver: Solver
+    devices: int = 10
+    unloading: bool = False
+    effects: Sequence[str] | None = None
+
+    @cached_property
+    def study(self) -> Study:
+        curves = tuple(
+            loaded(design, f"D{i + 1}", self.unloading)
+            for i, design in enumerate(lab(self.devices))
+        )
+        study = Study(
+            Measurements(curves),
+            self.solver,
+            level="draft",
+            fast="draft",
+            effects=self.effects,
+        )
+        return study
+
+    def solve(self) -> None:
+        """Solve every effect at sizes over its range, as far as paths go."""
+        study = self.study
+        names = [n for n in study.effects if not study.blind(n)]
+        wanted = [((n,), t) for n in names for t in self.sizes(n)]
+        study.solve(wanted, "recovery")
+
+    def sizes(self, name: str) -> list[Array]:
+        """Coordinates along each parameter, both ways, and corners of them."""
+        priors = self.study.priors((name,))
+        off = np.array([p.off for p in priors])
+        first = self.study.first(name)
+        found = list(first)
+        for k, (prior, t) in enumerate(zip(priors, first, strict=True)):
+            lower, upper = prior.bounds
+            step = t[k] - off[k]
+            for factor in (2.0, -1.0, -2.0):
+                x = off.copy()
+                x[k] = off[k] + factor * step
+                if lower - 1e-9 <= x[k] <= upper + 1e-9:
+                    found.append(x)
+        if len(priors) > 1:
+            found.append(off + sum((t - off for t in first), np.zeros_like(off)) * 0.7)
+        return found
+
+    def present(self, name: str) -> Present | None:
+        return self.study.present((name,))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What was planted: effects with coordinates; empty for nothing."""
+
+    effects: dict[str, Array]
+    moved: float  # largest change of a reading, in noise
+
+
+def readings_of(
+    lab: Lab,
+    truth: dict[str, Array],
+    *,
+    noise: float,
+    smooth: float,
+    seed: int,
+    extra: Array | None = None,
+) -> tuple[Readings, Truth]:
+    """Readings of all devices with some effects on.
+
+    Parameters
+    ----------
+    truth : dict of effect to coordinates
+    noise, smooth : float
+        Of the median curve's maximum of a quantity, and of each curve's maximum.
+    seed : int
+    extra : (n,) array, optional
+        Change by an effect that has no name.
+    """
+    rng = np.random.default_rng(seed)
+    study = lab.study
+    base = study.null().prediction
+    values, columns = base.values.copy(), base.columns.copy()
+    for name, t in truth.items():
+        present = lab.present(name)
+        assert present is not None
+        at = present.predict(t)
+        values += at.values - base.values
+        columns += at.columns - base.columns
+    if extra is not None:
+        values = values + extra
+    r = study.readings
+    scale = np.empty(len(values))
+    for curve in np.unique(r.curve):
+        scale[r.curve == curve] = np.abs(values[r.curve == curve]).max()
+    std = np.empty(len(values))
+    for g in np.unique(r.group):
+        std[r.group == g] = noise * np.median(scale[r.group == g])
+    moved = float(np.abs((values - base.values) / std).max())
+    y = values + columns @ rng.normal(size=columns.shape[1])
+    for curve in np.unique(r.curve):
+        at = r.curve == curve
+        y[at] += smooth * scale[at] * smooth_error(rng, r.place[at])
+    y += std * rng.normal(size=len(y))
+    found = np.empty(len(values))
+    for g in np.unique(r.group):
+        at = r.group == g
+        for curve in np.unique(r.curve[at]):
+            found[r.curve == curve] = np.abs(y[r.curve == curve]).max()
+        found[at] = np.maximum(found[at], 0.2 * np.median(found[at]))
+    made = replace(r, value=y, noise=std, scale=found)
+    return made, Truth(truth, moved)
+
+
+def size_for(lab: Lab, name: str, wanted: float, noise: float, seed: int) -> Array:
+    """Coordinates of an effect that move some reading by a multiple of the noise.
+
+    A random direction of its parameters from off; at most to the end of the range.
+    """
+    rng = np.random.default_rng(seed)
+    present = lab.present(name)
+    assert present is not None
+    study = lab.study
+    lower = np.array([p.bounds[0] for p in present.priors])
+    upper = np.array([p.bounds[1] for p in present.priors])
+    off = np.array([p.off for p in present.priors])
+    # Not further than what was solved.
+    lower = np.maximum(lower, present.nodes.min(axis=0))
+    upper = np.minimum(upper, present.nodes.max(axis=0))
+    way = rng.uniform(0.3, 1.0, len(off)) * np.where(
+        (upper - off > 1e-9) & ((rng.random(len(off)) < 0.5) | (off - lower < 1e-9)),
+        upper - off,
+        lower - off,
+    )
+    base = study.base
+    r = study.readings
+    std = np.empty(len(base))
+    for g in np.unique(r.group):
+        tops = [
+            np.abs(base[r.curve == c]).max() for c in np.unique(r.curve[r.group == g])
+        ]
+        std[r.group == g] = noise * np.median(tops)
+
+    def moved(share: float) -> float:
+        change = present.many((off + share * way)[None, :])[0] - base
+        return float(np.abs(change / std).max())
+
+    low, high = 0.0, 1.0
+    if moved(1.0) < wanted:
+        return off + way
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if moved(middle) < wanted else (low, middle)
+    return off + high * way
+
+
+def rank(lab: Lab, readings: Readings, keep: Sequence[int] | None = None) -> Ranking:
+    """Rank readings with the lab's curves, of some of its devices where `keep`."""
+    study = lab.study
+    one = study.with_readings(readings)
+    if keep is not None:
+        one = one.of_devices(keep)
+    return Search(one, solves=False).run()
+
+
+def unnamed_changes(lab: Lab) -> dict[str, Callable[[float, float], Array]]:
+    """Changes of the readings by effects that the catalogue has not.
+
+    Each is a function of the wanted size, in noise, and of the noise: (n,) array.
+    """
+    study = lab.study
+    r, base = study.readings, study.base
+    designs = [study.measurements.curves[c].design for c, _, _ in study.cells]
+    upper = np.array([d.upper_thickness for d in designs])  # type: ignore[union-attr]
+    width = np.array([d.balloon_width for d in designs])  # type: ignore[union-attr]
+    tip = np.array([study.kinds[g][1] == "tip_deflection" for g in r.group], dtype=bool)
+    top = np.array([np.abs(base[r.curve == c]).max() for c in r.curve])
+    shapes = {
+        # The supply line leaks more the higher the pressure.
+        "leak": -base * r.place**2 * np.where(tip, 0.3, 1.0),
+        # A skin that weakens thin layers more than thick ones, at large strain.
+        "thin_layers": top * (95e-6 / upper) ** 2 * np.maximum(r.place - 0.3, 0.0),
+        # The rim lifts where balloons are wide, and turns the tip.
+        "lifted_rim": top * (width / 1e-3) ** 3 * np.where(tip, -1.0, 0.2) * r.place,
+    }
+
+    def scaled(shape: Array) -> Callable[[float, float], Array]:
+        def change(size: float, noise: float) -> Array:
+            std = np.empty(len(base))
+            for g in np.unique(r.group):
+                std[r.group == g] = noise * np.median(top[r.group == g])
+            found: Array = shape * size / np.abs(shape / std).max()
+            return found
+
+        return change
+
+    return {name: scaled(shape) for name, shape in shapes.items()}
