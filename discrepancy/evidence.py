@@ -168,11 +168,20 @@ class Fit:
         found = self.covariance.coefficients(r)
         common = self.amplitude("common")
         shapes = [
-            common[g] * s for g, s in zip(common, self.hypothesis.common, strict=True)
+            common[g] * s
+            for g, s in zip(common, _shapes(self.hypothesis, self.keep), strict=True)
         ]
         columns = np.concatenate([at.columns, *shapes], axis=1)
         prediction: Array = at.values + columns @ found
         return prediction
+
+
+def _shapes(hypothesis: Hypothesis, keep: Array) -> tuple[Array, ...]:
+    """Shapes of an unknown effect for the groups that have readings among those kept.
+
+    A group can be of one device alone, and that device be held out.
+    """
+    return tuple(shape for shape in hypothesis.common if shape[keep].any())
 
 
 class Target:
@@ -182,7 +191,7 @@ class Target:
         self.frame, self.hypothesis = frame, hypothesis
         self._keep = keep
         self.hyper = frame.hyper(bool(hypothesis.common))
-        self._common = tuple(frame.turn @ s[keep] for s in hypothesis.common)
+        self._common = tuple(frame.turn @ s[keep] for s in _shapes(hypothesis, keep))
         self._y = frame.readings.value
         self.priors = hypothesis.priors
         self.lower = np.array([p.bounds[0] for p in self.priors])

@@ -426,18 +426,19 @@ def _verdict(
     return ("identified" if len(ties) == 1 else "tied"), ties
 
 
-def held_out(one: Fit) -> float:
-    """Root mean square residual, over the noise, of devices left out one at a time.
+def left_out(one: Fit) -> Array:
+    """(n,) residuals, over the noise, of devices left out one at a time.
 
     Calibrations that a left-out device shares (batch moduli) are those of the others;
-    its own (thickness, camera) are at their stated values.
+    its own (thickness, camera) are at their stated values.  NaN where there is but one
+    device.
     """
     readings = one.readings
-    residuals = []
+    residuals = np.full(len(readings.value), np.nan)
     for device in np.unique(readings.device):
         out = readings.device == device
         if out.all():
-            return math.nan
+            break
         same = set(readings.group[~out]) == set(readings.group)
         others = fit(
             readings,
@@ -448,9 +449,13 @@ def held_out(one: Fit) -> float:
             fixed=same,  # one device hardly moves the amplitudes of all
             evidence=False,
         )
-        lack = (readings.value - others.predict())[out] / one.noise[out]
-        residuals.append(lack)
-    return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+        residuals[out] = (readings.value - others.predict())[out] / one.noise[out]
+    return residuals
+
+
+def held_out(one: Fit) -> float:
+    """Root mean square of `left_out`; NaN where there is but one device."""
+    return float(np.sqrt(np.mean(left_out(one) ** 2)))
 
 
 def noise_floor(one: Fit) -> float:

@@ -29,6 +29,7 @@ from .hypotheses import Null, Present
 from .measurement import Curve, Measurements
 from .noise import Readings, smooth_kernel
 from .prior import EVEN, Prior
+from .repeats import ENOUGH, noise_from_repeats
 from .solves import Solve, Solved, Solver, Values, values_of
 
 Array = np.ndarray
@@ -210,10 +211,16 @@ class Study:
         self.kinds = tuple(kinds)
         group, scale = np.array(groups), np.array(scales)
         std, is_stated = np.array(noise, dtype=float), np.array(stated)
-        for g in np.unique(group):
+        self.repeats = noise_from_repeats(self.measurements)
+        for kind, g in kinds.items():
             at = group == g
-            guess = GUESS * float(np.median(scale[at]))
-            std[at & ~is_stated] = guess
+            missing = at & ~is_stated
+            repeated = self.repeats.get(kind)
+            if repeated is None:
+                std[missing] = GUESS * float(np.median(scale[at]))
+            else:
+                std[missing] = repeated.std
+                is_stated[missing] = repeated.degrees >= ENOUGH
             # A curve that is nearly flat errs like the others of its quantity.
             scale[at] = np.maximum(scale[at], 0.2 * float(np.median(scale[at])))
         return Readings(

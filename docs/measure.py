@@ -18,6 +18,7 @@ import re
 import resource
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,8 @@ ACCURACY = "accuracy surrogate/reference surrogate/reference/dataset.h5 --json"
 CASES = (1, 2, 3, 4)
 AT = (20, 60, 100)
 TWELVE = "2,4,8,12,16,20,25,30,35,40,45,50"
+COMPARE = "compare examples/measurements/bench.csv --level draft"
+PBA = (sys.executable, "-c", "from service.cli import main; main()")
 COST = f"solve --device S1 --case 1 --pressures {TWELVE} --json"
 
 
@@ -52,9 +55,8 @@ class Block:
 
 def pba(arguments: str) -> dict[str, Any]:
     """What ``pba ARGUMENTS`` prints as JSON, run in the project's folder."""
-    command = [sys.executable, "-c", "from service.cli import main; main()"]
     done = subprocess.run(
-        [*command, *arguments.split()],
+        [*PBA, *arguments.split()],
         cwd=ROOT,
         env={**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
@@ -132,10 +134,26 @@ def cost() -> str:
     )
 
 
+def compare() -> str:
+    """The shipped measurements against the baseline, as people see it."""
+    with tempfile.TemporaryDirectory() as kept:
+        done = subprocess.run(
+            [*PBA, *COMPARE.split()],
+            cwd=ROOT,
+            env={**os.environ, "PBA_CACHE": kept, "COLUMNS": "80"},
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+    lines = "\n".join(line.rstrip() for line in done.stdout.splitlines())
+    return f"```text\n{lines}\n```\n\nMeasured by `pba {COMPARE}`.\n"
+
+
 BLOCKS = {
     "cost": Block(cost, repeats=False),  # first: its memory is that of one child alone
     "accuracy": Block(accuracy),
     "cases": Block(cases),
+    "compare": Block(compare),
 }
 
 

@@ -21,6 +21,7 @@ from typer import Argument, Option
 from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
 
 from .challenge import challenge_app
+from .discrepancy import compare
 from .effects import effects_app
 from .options import (
     DEFAULT_PRESSURES,
@@ -36,7 +37,7 @@ from .options import (
     whole,
 )
 from .rank import rank
-from .terminal import print_json, print_rich, waiting
+from .terminal import Stopped, print_json, print_rich, waiting
 
 if TYPE_CHECKING:
     from datagen.device import Design
@@ -47,10 +48,6 @@ INTERRUPTED = 130
 BAD_INPUT = (InputError, FileError, EffectError)
 
 
-class _Stopped(PbaError):
-    """Ctrl-C with something to say; typer keeps the words of no KeyboardInterrupt."""
-
-
 app = typer.Typer(
     name="pba",
     help="What does this pneumatic balloon actuator do?",
@@ -59,6 +56,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.add_typer(effects_app, name="effects")
+app.command()(compare)
 app.command()(rank)
 app.add_typer(challenge_app, name="challenge")
 
@@ -266,7 +264,7 @@ def generate(
                 progress=update,
             )
         except Interrupted as stop:
-            raise _Stopped(str(stop)) from stop
+            raise Stopped(str(stop)) from stop
     seconds = time.perf_counter() - start
     ends = {end: data.path_status.count(end) for end in sorted(set(data.path_status))}
     report = {
@@ -438,7 +436,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = typer.main.get_command(app)
     try:
         status = command.main(given, prog_name="pba", standalone_mode=False)
-    except _Stopped as stop:
+    except Stopped as stop:
         _complain(str(stop))
         return INTERRUPTED
     except typer.Abort:  # a question was not answered

@@ -2,107 +2,30 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from typer import Argument, Option
+from typer import Option
 
-from .options import AsJson, EffectsDir, Level, number, whole
+from .discrepancy import (
+    Cache,
+    CameraTolerance,
+    MeasurementFile,
+    ModulusTolerance,
+    ThicknessTolerance,
+    Workers,
+    measurements_of,
+    solving,
+)
+from .options import AsJson, EffectsDir, Level, whole
 from .terminal import print_json, print_rich
 
 if TYPE_CHECKING:
-    from discrepancy.measurement import Tolerances
     from discrepancy.rank import Ranking
-    from discrepancy.solves import Progress
 
 ROWS = 8
 """Candidates shown to people; JSON has them all."""
-
-MeasurementFile = Annotated[
-    Path,
-    Argument(metavar="FILE", help="Measurements: a CSV file or a folder of PEtab."),
-]
-ModulusTolerance = Annotated[
-    float,
-    Option(
-        metavar="PERCENT",
-        help="Standard deviation of each batch's modulus.",
-        parser=number("--modulus-tolerance", 0, 50, "%"),
-    ),
-]
-ThicknessTolerance = Annotated[
-    float,
-    Option(
-        metavar="UM",
-        help="Standard deviation of each layer's thickness.",
-        parser=number("--thickness-tolerance", 0, 100, "um"),
-    ),
-]
-CameraTolerance = Annotated[
-    float,
-    Option(
-        metavar="PERCENT",
-        help="Standard deviation of each curve's camera scale.",
-        parser=number("--camera-tolerance", 0, 20, "%"),
-    ),
-]
-Workers = Annotated[
-    int | None,
-    Option(
-        help="Worker processes.", parser=whole("--workers", 1, 4096), metavar="COUNT"
-    ),
-]
-Cache = Annotated[
-    Path | None,
-    Option(metavar="DIR", help="Folder of kept solves; in your cache by default."),
-]
-
-
-def cores() -> int:
-    """Worker processes by default: one a core that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
-
-
-def tolerances(modulus: float, thickness: float, camera: float) -> Tolerances:
-    """Tolerances from bench units."""
-    from discrepancy.measurement import Tolerances
-
-    return Tolerances(modulus / 100, thickness * 1e-6, camera / 100)
-
-
-@contextmanager
-def progress_bar(quiet: bool) -> Iterator[Callable[[Progress], None]]:
-    """A bar on standard error that follows the solves, whatever they are for."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-    )
-    from rich.progress import Progress as Bar
-
-    with Bar(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True, quiet=quiet),
-        transient=True,
-    ) as bar:
-        tasks = {}
-
-        def show(state: Progress) -> None:
-            if state.what not in tasks:
-                tasks[state.what] = bar.add_task(f"solving {state.what}", total=1)
-            bar.update(tasks[state.what], completed=state.done, total=state.total)
-
-        yield show
 
 
 def rank(
@@ -131,17 +54,13 @@ def rank(
     from discrepancy.answer import sentence, to_json
     from discrepancy.experiment import next_measurement
     from discrepancy.rank import Search
-    from discrepancy.reading import read_measurements
-    from discrepancy.solves import Solver
     from discrepancy.study import Study
 
-    allowed = tolerances(modulus_tolerance, thickness_tolerance, camera_tolerance)
-    measured = read_measurements(file, allowed)
+    measured = measurements_of(
+        file, modulus_tolerance, thickness_tolerance, camera_tolerance
+    )
     names = [name for name in effects.split(",") if name] or None
-    with (
-        progress_bar(as_json) as show,
-        Solver(workers or cores(), cache, show) as solver,
-    ):
+    with solving(workers, cache, as_json) as solver:
         study = Study(
             measured, solver, level=level, effects=names, effects_dir=effects_dir
         )

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from datagen.errors import PbaError
 from datagen.units import QUANTITY
 
 if TYPE_CHECKING:
@@ -34,6 +35,10 @@ SHORT = {
     "cavity_volume_uL": "volume",
 }
 """Column heads; the unit follows in the next line."""
+
+
+class Stopped(PbaError):
+    """Ctrl-C with something to say; typer keeps the words of no KeyboardInterrupt."""
 
 
 def print_json(data: Mapping[str, Any]) -> None:

@@ -1,0 +1,75 @@
+"""Noise from repeated runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from datagen.device import named_device
+from discrepancy.measurement import LOADING, Curve, Measurements
+from discrepancy.repeats import noise_from_repeats
+
+Array = np.ndarray
+
+KPA = 1e3
+LOAD = np.array([5, 10, 20, 30, 40, 50, 60]) * KPA
+TRUE = 200e-6 * np.sqrt(LOAD / LOAD[-1])
+
+
+def runs(
+    count: int, rng: np.random.Generator, std: float, load: Array = LOAD
+) -> Measurements:
+    """One device measured `count` times; every run has a camera of its own."""
+    curves = []
+    for run in range(1, count + 1):
+        true = np.interp(load, LOAD, TRUE) * (1 + 0.02 * rng.standard_normal())
+        values = (true + std * rng.standard_normal(len(load)))[:, None]
+        curves.append(
+            Curve(
+                device="S1",
+                run=run,
+                orientation=0.0,
+                design=named_device("S1"),
+                load=load,
+                time=None,
+                branch=np.full(len(load), LOADING),
+                outputs=("inflation",),
+                values=values,
+                std=np.full(values.shape, np.nan),
+            )
+        )
+    return Measurements(tuple(curves))
+
+
+def test_noise_is_recovered_though_cameras_differ() -> None:
+    """A camera 2 % off moves readings by more than the noise, and is not noise."""
+    rng = np.random.default_rng(1)
+    sets = [noise_from_repeats(runs(3, rng, 1e-6)) for _ in range(200)]
+    found = [one["actuator", "inflation"] for one in sets]
+    assert {one.degrees for one in found} == {2 * 5}
+    rms = np.sqrt(np.mean([one.std**2 for one in found]))
+    assert rms == pytest.approx(1e-6, rel=0.1)
+
+
+def test_what_was_not_repeated_is_not_there() -> None:
+    rng = np.random.default_rng(2)
+    assert noise_from_repeats(runs(1, rng, 1e-6)) == {}
+    far = runs(2, rng, 1e-6)
+    other = Measurements(
+        (far.curves[0], runs(2, rng, 1e-6, LOAD + 2.5 * KPA).curves[1])
+    )
+    assert noise_from_repeats(other) == {}
+
+
+def test_loads_that_differ_in_the_last_digit_are_the_same() -> None:
+    rng = np.random.default_rng(3)
+    first = runs(2, rng, 1e-6).curves[0]
+    again = runs(2, rng, 1e-6, LOAD * (1 + 1e-9)).curves[1]
+    found = noise_from_repeats(Measurements((first, again)))
+    assert found["actuator", "inflation"].degrees == 5
+
+
+def test_few_shared_loads_take_an_offset_only() -> None:
+    rng = np.random.default_rng(4)
+    found = noise_from_repeats(runs(2, rng, 1e-6, LOAD[:3]))
+    assert found["actuator", "inflation"].degrees == 2
