@@ -1,4 +1,4 @@
-"""A ranking in words and as the contract's JSON object."""
+"""A ranking as the contract's JSON object."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from .experiment import Proposal
 from .rank import Candidate, Ranking
+from .words import verdict
 
 AT_THE_END = 0.05
 """Share of a range at its end in which a fitted value counts as hardly plausible."""
@@ -57,7 +58,7 @@ def to_json(
         "effects": [name for group in ranking.effects for name in group.split("+")]
         if len(ranking.effects) == 1
         else [group.split("+") if "+" in group else group for group in ranking.effects],
-        "sentence": sentence(ranking, proposals),
+        "sentence": verdict(ranking, proposals[0].words if proposals else ""),
         "ranking": [
             {
                 "effect": label(one),
@@ -108,58 +109,3 @@ def proposal_json(one: Proposal) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def shown(name: str) -> str:
-    """An effect's name as people write it."""
-    return " and ".join(part.replace("_", " ") for part in name.split("+"))
-
-
-def sizes(one: Candidate) -> str:
-    """Fitted sizes with 90 % intervals."""
-    rows = []
-    for name, p in parameters_of(one).items():
-        unit = f" {p['unit']}" if p["unit"] != "1" else ""
-        rows.append(
-            f"{name.replace('_', ' ')} {p['value']:.3g}{unit} "
-            f"({p['low']:.3g} to {p['high']:.3g})"
-        )
-    return ", ".join(rows)
-
-
-def sentence(ranking: Ranking, proposals: Sequence[Proposal] = ()) -> str:
-    """The verdict in words for the engineer at the bench."""
-    best = next((c for c in ranking.candidates if c.effects and not c.unnamed), None)
-    nothing = ranking.candidate("nothing")
-    if ranking.verdict == "adequate":
-        return (
-            "Nothing is shown to be missing: the baseline, calibrated within its "
-            "tolerances, explains these readings (probability "
-            f"{nothing.probability:.0%})."
-        )
-    if ranking.verdict == "unexplained":
-        near = f" The nearest is {shown(best.name)}." if best else ""
-        return (
-            "Something is missing that no known effect explains." + near + " Describe "
-            "what you suspect as an effect of your own: docs/writing-an-effect.md."
-        )
-    assert best is not None
-    if ranking.verdict == "identified":
-        odd = [n for n, p in parameters_of(best).items() if not p["plausible"]]
-        warning = (
-            f" Mind that {', '.join(odd)} is at the end of what the literature gives."
-            if odd
-            else ""
-        )
-        return (
-            f"Missing: {shown(best.name)} (probability {best.probability:.0%}), "
-            f"{sizes(best)}.{warning}"
-        )
-    names = [shown(name) for name in ranking.effects]
-    text = (
-        f"Something is missing, but {', '.join(names[:-1])} and {names[-1]} cannot be "
-        "told apart by these readings."
-    )
-    if proposals and proposals[0].then > proposals[0].now + 1:
-        text += f" To split them, {proposals[0].words}."
-    return text

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .evidence import Fit, fit
+from .hypotheses import Null
 from .missing import CLAIM, Kind, Labels
 from .noise import Covariance, Frame
-from .study import Null
 
 Array = np.ndarray
 

@@ -257,7 +257,7 @@ class Study:
         problem = self._example(name)
         if problem is None:
             return False
-        if getattr(problem, "growth_at", None) is not None:
+        if bool(problem.swellings):
             return True
         f = np.tile(np.diag([1.2, 0.9, 1.0]).reshape(1, 9), (2, 1))
         for law in problem.laws:
@@ -292,8 +292,7 @@ class Study:
         for name in self._known:
             problem = self._example(name)
             found[name] = problem is not None and (
-                any(law.history_size for law in problem.laws)
-                or getattr(problem, "growth_at", None) is not None
+                any(law.history_size for law in problem.laws) or bool(problem.swellings)
             )
         return found
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.markup import escape
 from rich.table import Table
 from typer import Option
+
+from datagen.errors import InputError
 
 from .discrepancy import (
     Cache,
@@ -45,33 +48,62 @@ def rank(
         int,
         Option(help="Of the samples.", parser=whole("--seed", 0, 2**31), metavar="N"),
     ] = 0,
+    report: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="Write a report, one HTML file, as well."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Learn which physical effect the model lacks, from measurements.
 
     Finished solves are kept: a run that was stopped goes on where it was.
     """
-    from discrepancy.answer import sentence, to_json
+    from threadpoolctl import threadpool_limits
+
+    from discrepancy.answer import to_json
+    from discrepancy.compare import compare
     from discrepancy.experiment import next_measurement
     from discrepancy.rank import Search
     from discrepancy.study import Study
+    from discrepancy.words import verdict
+
+    from .comparison import failure_json, failure_text
 
     measured = measurements_of(
         file, modulus_tolerance, thickness_tolerance, camera_tolerance
     )
     names = [name for name in effects.split(",") if name] or None
-    with solving(workers, cache, as_json) as solver:
+    if report is not None and not report.parent.is_dir():
+        raise InputError("--report", str(report), "a file in a folder that exists")
+    with solving(workers, cache, as_json) as solver, threadpool_limits(1):
         study = Study(
             measured, solver, level=level, effects=names, effects_dir=effects_dir
         )
         ranking = Search(study, seed).run()
         proposals = next_measurement(study, ranking)
+        compared = compare(study, seed)
+    words = [failure_text(one, compared) for one in compared.fails_where]
+    then = proposals[0].words if proposals else ""
+    if report is not None:
+        from datagen.atomic import replacing
+        from discrepancy.report import report as written
+
+        page = written(
+            study,
+            ranking,
+            fails_where=" ".join(words),
+            next_measurement=then,
+            seed=seed,
+        )
+        with replacing(report) as temporary:
+            temporary.write_text(page)
     warnings = [*measured.warnings, *ranking.warnings]
     if as_json:
-        answer = to_json(ranking, proposals=proposals)
+        where = [failure_json(one, compared) for one in compared.fails_where]
+        answer = to_json(ranking, where, proposals)
         print_json(answer | {"warnings": warnings, "file_sha256": measured.sha256})
         return
-    print(sentence(ranking, proposals))
+    print(verdict(ranking, then))
     print()
     print_rich(ranking_table(ranking))
     print(
@@ -79,6 +111,8 @@ def rank(
         f"{ranking.baseline_error:.2f}, with the right physics about "
         f"{ranking.noise_floor:.2f}."
     )
+    for line in words:
+        print(f"The model fails here: {line}")
     for one in proposals[:3]:
         print(
             f"Next: {one.words}: the nearest two would then be told apart with "
@@ -92,7 +126,8 @@ def rank(
 
 def ranking_table(ranking: Ranking) -> Table:
     """Best candidates with probabilities, sizes and held-out errors."""
-    from discrepancy.answer import label, sizes
+    from discrepancy.answer import label
+    from discrepancy.words import sizes
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for head in ("effect", "probability", "held-out error", "size (90 % interval)"):
@@ -105,5 +140,8 @@ def ranking_table(ranking: Ranking) -> Table:
         error = (
             f"{one.heldout_error:.2f}" if one.heldout_error == one.heldout_error else ""
         )
-        table.add_row(escape(name), f"{one.probability:.3f}", error, escape(sizes(one)))
+        size = "; ".join(
+            f"{size.short} {size.number} ({size.interval})" for size in sizes(one)
+        )
+        table.add_row(escape(name), f"{one.probability:.3f}", error, escape(size))
     return table

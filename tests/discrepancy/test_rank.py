@@ -13,13 +13,14 @@ from datagen.device import named_device
 from datagen.errors import EffectError
 from datagen.model import Model
 from datagen.response import Path as LoadPath
-from discrepancy.answer import sentence, to_json
+from discrepancy.answer import to_json
 from discrepancy.evidence import fit
 from discrepancy.experiment import next_measurement
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
+from discrepancy.words import verdict
 
 PRESSURE = np.array([10e3, 25e3, 45e3])
 NOISE = {"tip_deflection": 3e-6, "inflation": 2e-6}
@@ -116,7 +117,7 @@ def test_nothing_is_claimed_where_nothing_was_planted(cache: Path) -> None:
     study = Study(measured({}), Solver(1, cache), level="draft", effects=CANDIDATES)
     ranking = Search(study).run()
     assert (ranking.verdict, ranking.effects) == ("adequate", ())
-    assert "Nothing is shown to be missing" in sentence(ranking)
+    assert "nothing has to be missing" in verdict(ranking)
 
 
 def test_a_second_run_solves_nothing(cache: Path, ranking: Ranking) -> None:
