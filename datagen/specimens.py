@@ -18,9 +18,9 @@ from .continuation import PathFollower, gauge
 from .control import Options, Outcome, StepFailed
 from .device import LIMITS
 from .equilibrium import Workspace
-from .errors import EffectError, InputError
+from .errors import InputError
 from .materials import Hyperelastic, Law
-from .mesh import LOWER, UPPER, MeshLevel, graded
+from .mesh import LOWER, UPPER, Mesh, MeshLevel, graded
 from .problem import Body, lame
 from .response import CONVERGED, Path, Response
 
@@ -192,21 +192,17 @@ def with_effects(
     effects : sequence of (Effect, values by parameter)
         In the order in which they act.
 
-    Raises
-    ------
-    EffectError
-        When an effect needs what a device has and a specimen has not.
+    An effect that asks for parts that only a device has does not act on a specimen.
     """
     for one, values in effects:
         if one.stage not in SPECIMEN_STAGES:
             continue
         try:
             body = one.apply(body, values)  # type: ignore[arg-type]
-        except (AttributeError, TypeError) as error:
-            raise EffectError(
-                f"effect {one.name}: acts on a device alone, not on a specimen of its "
-                f"material: {error}"
-            ) from error
+        except AttributeError as error:
+            # What asks for a device's parts (a channel) is not in a specimen.
+            if not isinstance(error.obj, (Body, Mesh)):
+                raise
     return body
 
 

@@ -15,6 +15,7 @@ Laplace's method, which their priors make harmless.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
@@ -31,9 +32,9 @@ Array = np.ndarray
 SAMPLES, DEFENSIVE, TAIL = 2000, 0.15, 4.0
 """Importance samples, share drawn from the prior, degrees of freedom of the rest."""
 
-ENOUGH, LIVE = 60.0, 400
-"""Effective samples below which nested sampling decides, and its live points a
-dimension."""
+ENOUGH, LIVE, CALLS = 60.0, 400, 40000
+"""Effective samples below which nested sampling decides, its live points a dimension,
+and its predictions at most."""
 
 
 class Prediction(NamedTuple):
@@ -218,6 +219,16 @@ class Target:
             total = total + prior.log_density(t[:, i])
         return total
 
+    def best_of(self, t: Array, eta: Array) -> Array:
+        """The coordinates (k,) among (m, k) that fit best at given amplitudes."""
+        costs = []
+        for one in t:
+            r, _, columns = self.look(one)
+            form = self.covariance(eta, columns).quadratic(r[:, None])[0]
+            costs.append(float(form + self.pull @ one**2))
+        best: Array = t[int(np.nanargmin(costs))]
+        return best
+
     def amplitudes(self, eta: Array, r: Array, columns: Array) -> Array:
         """Best log amplitudes for a residual."""
         hyper = self.hyper
@@ -372,6 +383,9 @@ def fit(
     target = Target(frame, keep, hypothesis)
     begin = target.hyper.centre if eta is None else eta
     off = np.array([prior.off for prior in hypothesis.priors])
+    nodes = getattr(hypothesis, "nodes", None)
+    if nodes is not None:  # the best of those that were solved, too
+        starts = [*starts, target.best_of(nodes, begin)]
     found = [
         target.optimum(np.clip(t, target.lower, target.upper), begin, fixed)
         for t in (off, *starts)
@@ -518,7 +532,9 @@ def _nested(target: Target, best: Fit, seed: int) -> Fit:
     sampler = NestedSampler(
         likelihood, transform, k, nlive=LIVE * k, rstate=np.random.default_rng(seed)
     )
-    sampler.run_nested(print_progress=False, dlogz=0.05)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of narrow bounds, harmless
+        sampler.run_nested(print_progress=False, dlogz=0.05, maxcall=CALLS)
     result = sampler.results
     weights = np.exp(result.logwt - result.logz[-1])
     weights /= weights.sum()

@@ -49,6 +49,9 @@ class Present:
     shift : (n,) array
         What the model's mesh adds to the curves.
     calibrations : Calibrations
+    reach : (k, 2) array
+        Coordinates beyond which a path is known to end before its readings: an effect
+        of that size is refuted, and its values are NaN.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Present:
     fields: Emulator
     shift: Array
     calibrations: Calibrations
+    reach: Array
     common: tuple[Array, ...] = ()
 
     @property
@@ -73,4 +77,6 @@ class Present:
 
     def many(self, t: Array) -> Array:
         values: Array = self.curves.many(t) + self.shift
+        lost = ((t < self.reach[:, 0]) | (t > self.reach[:, 1])).any(axis=1)
+        values[lost] = np.nan
         return values

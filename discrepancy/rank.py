@@ -18,7 +18,7 @@ import numpy as np
 from .evidence import Fit, Hypothesis, fit
 from .hypotheses import Null, Present
 from .study import Study
-from .weighing import nearest, probabilities, weigh
+from .weighing import nearest, probabilities, sound, weigh
 
 Array = np.ndarray
 
@@ -44,8 +44,11 @@ UNSEEN = 0.1
 GAIN = 6.0
 """Chi-square that a second effect has to take away for a pair to be weighed."""
 
-ROUNDS, PARTNERS, PAIRS = 3, 3, 4
-"""Refinements of a contender, singles paired with all others, pairs solved."""
+ROUNDS, JOINT_ROUNDS, QUICK_ROUNDS = 3, 2, 10
+"""Refinements of a contender, of a pair, and of either where solves cost nothing."""
+
+PARTNERS, PAIRS = 3, 4
+"""Singles that are paired with all others, and pairs that are solved."""
 
 SHARES = {"nothing": 0.5, "unknown": 0.05, "single": 0.35, "pair": 0.1}
 """Prior probabilities: of nothing, of an effect without a name, of all single effects
@@ -157,6 +160,7 @@ class Search:
         fits = self.weigh_singles(singles)
         fits = self.refine(fits)
         fits += self.pairs(fits)
+        fits = sound(self.study.readings, fits, self.seed)
         return judge(self.study, fits, self.unjudged, self.seed, self.details)
 
     # -- solves --------------------------------------------------------------------
@@ -211,7 +215,8 @@ class Search:
 
     def refine(self, fits: list[Fit]) -> list[Fit]:
         """Solve contenders at their best fits until their curves are known there."""
-        for _ in range(ROUNDS if self.solves else 0):
+        rounds = QUICK_ROUNDS if self.study.quick else ROUNDS
+        for _ in range(rounds if self.solves else 0):
             best = max(one.log_evidence for one in fits)
             wanted = [
                 one
@@ -225,15 +230,24 @@ class Search:
             found = self.study.solve(
                 [(_effects(one), one.t) for one in wanted], "the contenders"
             )
-            fresh = {
-                one.hypothesis.name: self._again(one)
-                for one, node in zip(wanted, found, strict=True)
-                if node is not None
-            }
-            if not fresh:
-                break
+            lost = [one for one, node in zip(wanted, found, strict=True) if not node]
+            if lost:  # half way to where a path ended early
+                self.study.solve(
+                    [(_effects(one), self._half_way(one)) for one in lost],
+                    "the contenders",
+                )
+            fresh = {one.hypothesis.name: self._again(one) for one in wanted}
             fits = [fresh.get(one.hypothesis.name, one) for one in fits]
         return fits
+
+    @staticmethod
+    def _half_way(one: Fit) -> Array:
+        """Between a best fit and the nearest coordinates that were solved."""
+        assert isinstance(one.hypothesis, Present)
+        curves = one.hypothesis.curves
+        gap = np.abs((curves.nodes - one.t) / curves.span).max(axis=1)
+        half: Array = (one.t + curves.nodes[int(np.argmin(gap))]) / 2
+        return half
 
     def _curved(self, hypothesis: Present, t: Array) -> bool:
         """Whether the interpolated curves at t are more than the nearest tangent."""
@@ -251,9 +265,7 @@ class Search:
     def _again(self, one: Fit) -> Fit:
         present = self.study.present(_effects(one))
         assert present is not None
-        return fit(
-            self.study.readings, present, starts=[one.t], nested=True, seed=self.seed
-        )
+        return fit(self.study.readings, present, starts=[one.t], seed=self.seed)
 
     def pairs(self, fits: Sequence[Fit]) -> list[Fit]:
         """Pairs of the best singles with all others, the promising ones solved."""
@@ -292,7 +304,8 @@ class Search:
         promising = [one for one in weighed if one.log_evidence > best + 1.0]
         promising.sort(key=lambda one: -one.log_evidence)
         promising = promising[:PAIRS]
-        for _ in range(2 if self.solves else 0):
+        rounds = QUICK_ROUNDS if study.quick else JOINT_ROUNDS
+        for _ in range(rounds if self.solves else 0):
             found = study.solve(
                 [(_effects(one), one.t) for one in promising], "pairs of effects"
             )

@@ -44,6 +44,9 @@ FIRST_NORMAL, FIRST_EVEN = 1.0, 0.4
 """Coordinate of an effect's first solve: a prior standard deviation, a part of the
 range."""
 
+QUICK_PARTS = (2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
+"""More first solves, in parts of that one, where a solve costs nothing."""
+
 ALIKE = 0.7
 """Distance of two designs, in logarithms of their fields, over which an unknown effect
 is taken to change."""
@@ -511,10 +514,38 @@ class Study:
             lower, upper = prior.bounds
             step = FIRST_EVEN if prior.density == EVEN else FIRST_NORMAL
             up = upper - off[k] >= 0.99 * (off[k] - lower)
-            t = off.copy()
-            t[k] = min(off[k] + step, upper) if up else max(off[k] - step, lower)
-            found.append(t)
+            way = min(step, upper - off[k]) if up else max(-step, lower - off[k])
+            for part in QUICK_PARTS if self.quick else (1.0,):
+                t = off.copy()
+                t[k] = off[k] + part * way
+                found.append(t)
         return found
+
+    def _reach_of(self, names: tuple[str, ...], off: Array) -> Array:
+        """(k, 2) coordinates between which paths got to the end, as far as is known.
+
+        Told apart for effects of one parameter, from solves of that effect alone.
+        """
+        reach = np.tile([-np.inf, np.inf], (len(off), 1))
+        places = {}
+        for name in names:
+            own = len(self.priors((name,)))
+            if own == 1:
+                places[name] = sum(len(self.priors((n,))) for n in names if n < name)
+        for (solved, t), node in self._nodes.items():
+            if len(solved) != 1 or np.isfinite(node.values).all():
+                continue
+            if solved[0] in places:
+                at = places[solved[0]]
+                side = 1 if t[0] > off[at] else 0
+                nearer = min if side else max
+                reach[at, side] = nearer(reach[at, side], t[0])
+        return reach
+
+    @property
+    def quick(self) -> bool:
+        """True where every solve is a formula: tensile specimens alone."""
+        return all(self._pulled(curve) for curve in self.measurements.curves)
 
     def present(self, names: Sequence[str]) -> Present | None:
         """The hypothesis that some effects act, from what has been solved of them.
@@ -566,6 +597,7 @@ class Study:
             ),
             shift=self.shift,
             calibrations=self.calibrations,
+            reach=self._reach_of(names, off),
         )
         self._present[names] = (len(self._nodes), made)
         return made

@@ -14,13 +14,17 @@ from datagen.errors import FileError, InputError
 from datagen.materials import Hyperelastic
 from datagen.specimens import MODES, Tensile, tensile_stress
 
-from .measurement import LOADING, Curve, Measurements
+from .measurement import LOADING, Curve, Measurements, Tolerances
 from .table import MeasurementError, decode, read_bytes
 
 Array = np.ndarray
 
 SMALL_STRAIN = 0.3
 """Largest strain, either way, at which a modulus is read off."""
+
+UNSTATED = 0.3
+"""Tolerance of a modulus that was read off: laws that stiffen or soften early miss the
+true one by this much."""
 
 
 def initial_modulus(stretch: Array, stress: Array, mode: str = "uniaxial") -> float:
@@ -49,12 +53,15 @@ def _measurements(
 ) -> Measurements:
     """Measurements of tests by name: mode, stretch, stress (Pa), time (s)."""
     warnings: tuple[str, ...] = ()
+    tolerances = Tolerances()
     if modulus is None:
+        tolerances = Tolerances(modulus=UNSTATED)
         mode, stretch, stress, _ = next(iter(tests.values()))
         modulus = initial_modulus(stretch, stress, mode)
         warnings = (
             f"{source}: no modulus is stated; {modulus / 1e6:.4g} MPa is taken, from "
-            f"the first {SMALL_STRAIN:.0%} of strain in the {mode} test",
+            f"the first {SMALL_STRAIN:.0%} of strain in the {mode} test, with a "
+            f"tolerance of {UNSTATED:.0%}",
         )
     curves = tuple(
         Curve(
@@ -72,7 +79,7 @@ def _measurements(
         for name, (mode, stretch, stress, time) in tests.items()
     )
     digest = hashlib.sha256(data).hexdigest()
-    return Measurements(curves, source, digest, warnings)
+    return Measurements(curves, source, digest, warnings, tolerances)
 
 
 def _numbers(path: Path, line: int, texts: list[str], wanted: int) -> list[float]:

@@ -76,16 +76,14 @@ def weigh(
     """Condition hypotheses on the same readings; integrals that matter are sound."""
     frame = Frame(readings)
     fits = [fit(readings, one, frame=frame, seed=seed) for one in hypotheses]
+    return sound(readings, fits, seed)
+
+
+def sound(readings: Readings, fits: Sequence[Fit], seed: int = 0) -> list[Fit]:
+    """The fits, by nested sampling where that could change which of them is best."""
     best = max(one.log_evidence for one in fits)
     return [
-        fit(
-            readings,
-            one.hypothesis,
-            frame=frame,
-            starts=[one.t],
-            nested=True,
-            seed=seed,
-        )
+        fit(readings, one.hypothesis, starts=[one.t], nested=True, seed=seed)
         if one.effective < ENOUGH and one.log_evidence > best - HOPELESS
         else one
         for one in fits

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 ROWS = 8
 """Candidates shown to people; JSON has them all."""
 
+SURE = 0.99
+"""Probability of an effect above which nothing more has to be measured to name it."""
+
 
 def rank(
     file: MeasurementFile,
@@ -83,6 +86,8 @@ def rank(
         proposals = next_measurement(study, ranking)
         compared = compare(study, seed)
     words = [failure_text(one, compared) for one in compared.fails_where]
+    sure = ranking.verdict == "identified" and ranking.best.probability > SURE
+    proposals = [] if sure else proposals
     then = proposals[0].words if proposals else ""
     if report is not None:
         from datagen.atomic import replacing

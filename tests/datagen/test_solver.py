@@ -13,7 +13,7 @@ from datagen.device import Design, named_device
 from datagen.equilibrium import Workspace
 from datagen.errors import EffectError, InputError
 from datagen.linear import mkl_library
-from datagen.mesh import mesh_level
+from datagen.mesh import MeshLevel, mesh_level
 from datagen.model import Model, stack
 from datagen.problem import baseline
 from datagen.response import CONVERGED, OUTPUT_NAMES, Path
@@ -167,7 +167,9 @@ def test_balloons_that_part_ways_end_a_path() -> None:
     pressure.
     """
     soft = named_device("D8-3x1").with_values(upper_modulus=0.8e6, lower_modulus=1e6)
-    problem = baseline(soft, mesh_level("draft"))
+    # Whether one gives way before the others is a matter of the mesh: here it does.
+    coarse = MeshLevel("coarse", 4, 3, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0)
+    problem = baseline(soft, coarse)
     short, long = PathFollower(problem), PathFollower(problem)
     ended = short.run(np.array([150.0]) * KPA)
     turned = long.run(np.array([150.0]) * KPA, far_enough=lambda point: True)
