@@ -9,6 +9,7 @@ SEED      ?= 1
 LEVEL     ?= standard
 CASES     ?= 1,2,3,4
 MESHES    ?= 3
+SEEDS     ?= 20
 PATHS     ?= 100
 WORKERS   ?= $(shell nproc 2>/dev/null || echo 2)
 
@@ -20,7 +21,7 @@ REFERENCE := runs/reference
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test lint format docs verification figures refinement mesh-error \
+.PHONY: help run test lint format docs verification figures refinement recovery mesh-error \
     reference bench-fem kill-test system pins clean
 
 help: ## this list
@@ -55,6 +56,9 @@ refinement: $(INSTALLED) ## settle the published device on refined meshes (hours
 
 mesh-error: $(INSTALLED) ## calibrate the mesh error on PATHS random designs (many hours; resumes)
 	OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m docs.mesh_error $(PATHS)
+
+recovery: $(TESTABLE) ## plant effects by the thousand, rank them, write it down (hours)
+	OMP_NUM_THREADS=1 $(BIN)/python -m docs.recover $(SEEDS) $(WORKERS)
 
 # Built aside and copied when complete: an interrupted run, which goes on where it
 # stopped, never leaves half a model in the package.

@@ -401,7 +401,7 @@ def _show_path(lists: Mapping[str, Any]) -> None:
     print_rich(path_table(lists))
     print(verdict(lists))
     if lists["mesh_error"]:
-        print("± bounds the discretisation error, in at least 90 % of cases.")
+        print("± estimates the discretisation error; its calibration is provisional.")
 
 
 def _complain(message: str) -> None:

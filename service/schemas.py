@@ -200,7 +200,7 @@ def _quantity(field: str) -> Any:
 
 
 class MeshError(BaseModel):
-    """Bound of the discretisation error at every load step, in 90 % of cases or more.
+    """Estimate of the discretisation error at every load step, provisionally calibrated.
 
     null where the path has no value there or has turned.
     """

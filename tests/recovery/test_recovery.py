@@ -1,0 +1,66 @@
+"""A few trials of the ranking; `make recovery` does them by the thousand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from discrepancy.solves import Solver
+from tests.recovery.trial import Lab, rank, readings_of, size_for, unnamed_changes
+
+EFFECTS = ("bond_edge", "cure_mismatch", "self_weight")
+NOISE, SMOOTH = 3e-6, 0.005
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """Four devices, solved with three effects."""
+    cache = tmp_path_factory.mktemp("solves")
+    made = Lab(Solver(1, cache), devices=4, effects=EFFECTS)
+    made.solve()
+    return made
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_is_planted_is_named(lab: Lab, name: str, seed: int) -> None:
+    t = size_for(lab, name, 8.0, NOISE, SMOOTH, seed)
+    readings, truth = readings_of(lab, {name: t}, noise=NOISE, smooth=SMOOTH, seed=seed)
+    assert truth.moved > 5
+    ranking = rank(lab, readings)
+    assert ranking.verdict in ("identified", "tied")
+    assert name in ranking.effects
+
+
+def test_nothing_is_named_where_nothing_is_planted(lab: Lab) -> None:
+    said = []
+    for seed in range(8):
+        readings, _ = readings_of(lab, {}, noise=1e-6, smooth=0.01, seed=seed)
+        said.append(rank(lab, readings).verdict)
+    assert said.count("adequate") >= 7
+
+
+def test_what_has_no_name_is_not_given_one(lab: Lab) -> None:
+    said = []
+    for seed, change in enumerate(unnamed_changes(lab).values()):
+        extra = change(12.0, NOISE, SMOOTH)
+        readings, _ = readings_of(
+            lab, {}, noise=NOISE, smooth=SMOOTH, seed=seed, extra=extra
+        )
+        said.append(rank(lab, readings).verdict)
+    assert said.count("identified") == 0
+    assert said.count("unexplained") >= 2
+
+
+def test_two_effects_are_both_named(lab: Lab) -> None:
+    pair = ("bond_edge", "cure_mismatch")
+    truth = {name: size_for(lab, name, 10.0, NOISE, SMOOTH, 5) for name in pair}
+    readings, _ = readings_of(lab, truth, noise=NOISE, smooth=SMOOTH, seed=1)
+    assert rank(lab, readings).effects == ("bond_edge+cure_mismatch",)
+
+
+def test_kept_solves_are_not_solved_again(lab: Lab, tmp_path: Path) -> None:
+    before = lab.solver.solved
+    lab.solve()
+    assert lab.solver.solved == before
