@@ -200,7 +200,7 @@ def _quantity(field: str) -> Any:
 
 
 class MeshError(BaseModel):
-    """Estimate of the discretisation error at every load step, provisionally calibrated.
+    """Estimate of the discretisation error at every load step; see docs/mesh-error.md.
 
     null where the path has no value there or has turned.
     """
