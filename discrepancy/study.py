@@ -27,10 +27,11 @@ from .emulator import Emulator
 from .evidence import Prediction
 from .hypotheses import Null, Present
 from .measurement import Curve, Measurements
-from .noise import Readings, smooth_kernel
+from .noise import Readings
 from .prior import EVEN, Prior
 from .repeats import ENOUGH, noise_from_repeats
 from .solves import Solve, Solved, Solver, Values, values_of
+from .unknown import shapes_of
 
 Array = np.ndarray
 
@@ -46,10 +47,6 @@ range."""
 
 QUICK_PARTS = (2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 """More first solves, in parts of that one, where a solve costs nothing."""
-
-ALIKE = 0.7
-"""Distance of two designs, in logarithms of their fields, over which an unknown effect
-is taken to change."""
 
 
 @dataclass(frozen=True)
@@ -483,27 +480,8 @@ class Study:
 
     @cached_property
     def _shapes(self) -> tuple[Array, ...]:
-        """Principal shapes of an unknown effect, for each group of readings.
-
-        Half of its variance is one shape for all devices, half changes over the
-        logarithms of the design's fields with the length `ALIKE`.
-        """
-        readings = self.readings
-        traits = np.array([_traits(c.design) for c in self.measurements.curves])
-        spots = traits[[c for c, _, _ in self.cells]]
-        shapes = []
-        for g in np.unique(readings.group):
-            at = np.flatnonzero(readings.group == g)
-            apart = ((spots[at][:, None] - spots[at][None]) ** 2).sum(axis=2)
-            alike = 0.5 + 0.5 * np.exp(-0.5 * apart / ALIKE**2)
-            kernel = smooth_kernel(readings.place[at], 1.0) * alike
-            kernel = kernel * readings.scale[at][:, None] * readings.scale[at][None]
-            values, vectors = np.linalg.eigh(kernel)
-            keep = values > 1e-4 * values.max()
-            shape = np.zeros((len(readings.value), int(keep.sum())))
-            shape[at] = vectors[:, keep] * np.sqrt(values[keep])
-            shapes.append(shape)
-        return tuple(shapes)
+        designs = [self.measurements.curves[c].design for c, _, _ in self.cells]
+        return shapes_of(self.readings, designs)
 
     def first(self, name: str) -> list[Array]:
         """Coordinates at which an effect is solved first: one along each parameter."""
@@ -601,22 +579,3 @@ class Study:
         )
         self._present[names] = (len(self._nodes), made)
         return made
-
-
-def _traits(specimen: object) -> Array:
-    """Logarithms of what tells designs apart; one point for all other specimens."""
-    if not isinstance(specimen, Design):
-        return np.zeros(9)
-    return np.log(
-        [
-            specimen.length,
-            specimen.width,
-            specimen.balloon_size[0],
-            specimen.balloon_size[1],
-            specimen.cavity_height,
-            specimen.upper_thickness,
-            specimen.lower_thickness,
-            specimen.upper_modulus,
-            specimen.lower_modulus,
-        ]
-    )
