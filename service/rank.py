@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,8 +62,6 @@ def rank(
 
     Finished solves are kept: a run that was stopped goes on where it was.
     """
-    from threadpoolctl import threadpool_limits
-
     from discrepancy.answer import to_json
     from discrepancy.compare import compare
     from discrepancy.experiment import next_measurement
@@ -78,16 +77,15 @@ def rank(
     names = [name for name in effects.split(",") if name] or None
     if report is not None and not report.parent.is_dir():
         raise InputError("--report", str(report), "a file in a folder that exists")
-    with solving(workers, cache, as_json) as solver, threadpool_limits(1):
+    with solving(workers, cache, as_json) as solver:
         study = Study(
             measured, solver, level=level, effects=names, effects_dir=effects_dir
         )
         ranking = Search(study, seed).run()
-        proposals = next_measurement(study, ranking)
+        sure = ranking.verdict == "identified" and ranking.best.probability > SURE
+        proposals = [] if sure else next_measurement(study, ranking)
         compared = compare(study, seed)
     words = [failure_text(one, compared) for one in compared.fails_where]
-    sure = ranking.verdict == "identified" and ranking.best.probability > SURE
-    proposals = [] if sure else proposals
     then = proposals[0].words if proposals else ""
     if report is not None:
         from datagen.atomic import replacing
@@ -142,9 +140,8 @@ def ranking_table(ranking: Ranking) -> Table:
             continue
         names = label(one)
         name = names if isinstance(names, str) else " + ".join(names)
-        error = (
-            f"{one.heldout_error:.2f}" if one.heldout_error == one.heldout_error else ""
-        )
+        known = math.isfinite(one.heldout_error)
+        error = f"{one.heldout_error:.2f}" if known else ""
         size = "; ".join(
             f"{size.short} {size.number} ({size.interval})" for size in sizes(one)
         )
