@@ -462,6 +462,22 @@ class Study:
         found = [self._nodes[key] for key in keys]
         return [one if np.isfinite(one.values).all() else None for one in found]
 
+    def on_mesh(
+        self, names: tuple[str, ...], values: Mapping[str, float], level: str
+    ) -> Array:
+        """(n,) readings by finite elements, SI, NaN where a path ends before.
+
+        Parameters
+        ----------
+        values : mapping of ``effect.parameter`` to float, SI
+        """
+        tasks = [
+            self._task(c, self._effects(c, names, values), level)
+            for c in range(len(self.measurements.curves))
+        ]
+        answers = self.solver.all(tasks, "corrected curves")
+        return self._gather(names, [answers[task] for task in tasks])[0]
+
     # -- hypotheses ----------------------------------------------------------------
 
     def null(self) -> Null:
