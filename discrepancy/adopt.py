@@ -91,7 +91,9 @@ class Adoption:
     @cached_property
     def samples(self) -> Array:
         """(`SAMPLES`, k) equally weighted samples of the posterior, SI."""
-        return self.fit.values()[resampled(self.fit.weights, SAMPLES, self.seed)]
+        chosen = resampled(self.fit.weights, SAMPLES, self.seed)
+        samples: Array = self.fit.values()[chosen]
+        return samples
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -137,7 +139,7 @@ def adopt(study: Study, effects: Sequence[str], seed: int = 0) -> Adoption:
     ]
     nothing = fit(study.readings, study.null(), seed=seed)
     noise = whole.noise  # one unit for all rungs, where it is inferred too
-    models = [
+    models: list[tuple[str, tuple[str, ...], Array]] = [
         (BASELINE, (), (study.readings.value - study.base) / noise),
         (RECALIBRATED, (), _left_out(nothing, noise)),
     ]
@@ -219,10 +221,11 @@ def _judgement(rungs: Sequence[Rung]) -> list[str]:
         )
     for rung in rungs[2:-1]:
         if not rung.helps:
+            how = "raises" if rung.ratio_low > 1 else "does not clearly lower"
             lines.append(
-                f"{rung.name.removeprefix('+ ')} does not clearly lower the error on "
-                f"left-out devices: {rung.ratio:.2f} times that of the rung before "
-                f"(90 % interval {rung.ratio_low:.2f} to {rung.ratio_high:.2f})"
+                f"{rung.name.removeprefix('+ ')} {how} the error on left-out devices: "
+                f"{rung.ratio:.3g} times that of the rung before (90 % interval "
+                f"{rung.ratio_low:.3g} to {rung.ratio_high:.3g})"
             )
     if last.heldout_error > floor.high:
         lines.append(
@@ -285,7 +288,7 @@ def resampled(weights: Array, count: int, seed: int) -> Array:
     total = np.cumsum(weights) / np.sum(weights)
     total[-1] = 1.0
     found: Array = np.searchsorted(total, places, side="right")
-    return np.minimum(found, len(weights) - 1)
+    return found
 
 
 def joined(parts: Sequence[Measurements]) -> Measurements:

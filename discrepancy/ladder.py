@@ -133,7 +133,8 @@ class Judged:
     def _log(self, model: int, weights: Array) -> Array:
         """(b,) logarithms of the error with devices weighted by (b, d) weights."""
         mean: Array = (weights @ self.squares[model]) / (weights @ self.counts)
-        return 0.5 * np.log(np.maximum(mean, np.finfo(float).tiny))
+        logs: Array = 0.5 * np.log(np.maximum(mean, np.finfo(float).tiny))
+        return logs
 
     def _interval(self, log: Callable[[Array], Array]) -> tuple[float, float, float]:
         """A positive statistic and its interval, from its logarithm.
