@@ -279,6 +279,7 @@ class ModelVersion:
         self,
         level: str | None = None,
         more: Mapping[str, Mapping[str, float]] | None = None,
+        effects_dir: Path | None = None,
     ) -> Model:
         """The finite-element model with the effects at their posterior means.
 
@@ -288,6 +289,8 @@ class ModelVersion:
             Mesh; that of the fit where it is not given.
         more : mapping of str to mapping of str to float, SI
             Other effects on top, or other values of these.
+        effects_dir : Path, optional
+            Folder that has its own effects and those of `more`, see `folder.effects_of`.
 
         Raises
         ------
@@ -297,9 +300,8 @@ class ModelVersion:
         parameters = self.parameters()
         for effect, values in (more or {}).items():
             parameters[effect] = parameters.get(effect, {}) | dict(values)
-        return Model(
-            tuple(parameters), level or self.level, parameters, self.effects_dir
-        )
+        own = effects_dir or self.effects_dir
+        return Model(tuple(parameters), level or self.level, parameters, own)
 
     @property
     def effects_dir(self) -> Path | None:

@@ -286,8 +286,9 @@ class Workspace:
                 f"reads {SCHEMA_VERSION}",
             )
         before, name = data.get("before"), data.get("current")
-        names = [*before, name] if isinstance(before, list) else [None]
-        if not all(isinstance(one, str) and NAME.fullmatch(one) for one in names):
+        given = [*before, name] if isinstance(before, list) else [None]
+        names = [one for one in given if isinstance(one, str) and NAME.fullmatch(one)]
+        if len(names) < len(given):
             raise FileError(path, "is damaged: names of versions are expected")
         return names
 
@@ -322,15 +323,16 @@ def is_workspace(folder: Path) -> bool:
     return bool((folder / CURRENT).is_file() or Workspace(folder)._folders())
 
 
-def place(out: Path, workspace: Path | None = None) -> tuple[Path, Workspace | None]:
+def place(out: str, workspace: Path | None = None) -> tuple[Path, Workspace | None]:
     """Where a new version goes, and the workspace it is part of.
 
-    A bare name goes into the workspace, and so does a path whose folder is one.
+    A bare name goes into the workspace; a path goes where it says, and is part of a
+    workspace where its folder is one.
 
     Parameters
     ----------
-    out : Path
-        As it was asked for.
+    out : str
+        A name, or a path with a separator in it (``./mine``).
     workspace : Path, optional
         `default_workspace` where it is not given.
 
@@ -340,9 +342,8 @@ def place(out: Path, workspace: Path | None = None) -> tuple[Path, Workspace | N
         When a name in a workspace is not allowed.
     """
     chosen = workspace or default_workspace()
-    bare = len(out.parts) == 1 and not out.is_absolute() and out.name == str(out)
-    folder = chosen / out.name if bare else out
-    inside = bare or folder.parent.resolve() == chosen.resolve()
+    folder = chosen / out if _bare(out) else Path(out)
+    inside = folder.parent.resolve() == chosen.resolve()
     if not inside and not is_workspace(folder.parent):
         return folder, None
     if not NAME.fullmatch(folder.name) or folder.name in (BASELINE, CURRENT):
@@ -354,17 +355,27 @@ def place(out: Path, workspace: Path | None = None) -> tuple[Path, Workspace | N
     return folder, Workspace(folder.parent)
 
 
-def locate(text: Path, workspace: Path | None = None) -> Path:
+def locate(text: str, workspace: Path | None = None) -> Path:
     """Folder of a model: of that path, or the version of that name in the workspace.
 
     Parameters
     ----------
-    text : Path
+    text : str
         A folder, or the name or id of a version.
     workspace : Path, optional
         `default_workspace` where it is not given.
+
+    Raises
+    ------
+    InputError
+        When the workspace has no such version.
     """
     known = Workspace(workspace or default_workspace())
-    if text.exists() or len(text.parts) != 1 or not known.folder.is_dir():
-        return text
-    return known.folder / known.find(str(text)).name
+    if Path(text).exists() or not _bare(text) or not known.folder.is_dir():
+        return Path(text)
+    return known.folder / known.find(text).name
+
+
+def _bare(text: str) -> bool:
+    """True for a name without a folder before it."""
+    return Path(text).name == text
