@@ -15,13 +15,9 @@ from tempfile import TemporaryDirectory
 from datagen.atomic import TEMPORARY, reason, sync
 from datagen.errors import EffectError, FileError, InputError
 
+from .layout import EFFECTS, MODEL, SCHEMA, SCHEMA_VERSION
 from .provenance import digest
-from .version import EFFECTS, ModelVersion, content_hash
-
-SCHEMA, SCHEMA_VERSION = "pba-model-version", 1
-"""Raised whenever an older reader would misread a newer folder."""
-
-MODEL = "model.json"
+from .version import ModelVersion, content_hash
 
 
 def write(
@@ -119,15 +115,6 @@ def read(folder: Path) -> ModelVersion:
         if digest(copy) != found.sources.get(name):
             raise FileError(copy, "was changed after the adoption")
     return replace(found, folder=folder)
-
-
-def is_version(folder: Path) -> bool:
-    """True for a folder that says it is a model version, whole or not."""
-    try:
-        data = json.loads((folder / MODEL).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(data, dict) and data.get("schema") == SCHEMA
 
 
 def vacant(folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import subprocess
+from importlib import metadata
 from pathlib import Path
 
 from datagen.effects import Effect
@@ -28,6 +29,14 @@ def source_file(effect: Effect) -> Path:
 def digest(path: Path) -> str:
     """SHA-256 of a file, hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def package() -> str:
+    """Version of the installed package."""
+    try:
+        return metadata.version("pba")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        return "0+source"
 
 
 def commit() -> str:

@@ -1,14 +1,8 @@
-"""Versions of the model: a baseline with adopted effects, kept as a folder.
+"""Versions of the model: a baseline with adopted effects, fitted to measurements.
 
-::
-
-    MODEL/
-      model.json     what was fitted, to which measurements, by which code
-      effects/       copies of the user's own effect files that it needs
-      surrogate/     its fast surrogate, where one was trained
-
-A version never changes once it is written; its id is a hash of what is in it, so that
-an answer that names the id names the physics, the numbers and where they are from.
+A version never changes once it is made; its id is a hash of what is in it, so that an
+answer that names the id names the physics, the numbers and where they are from.  It is
+kept as a folder, see `layout`.
 """
 
 from __future__ import annotations
@@ -20,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,19 +22,15 @@ from datagen.effects import catalogue
 from datagen.errors import InputError
 from datagen.model import GENERATOR_VERSION, Model
 
-from .adopt import Adoption
 from .ladder import Rung
+from .layout import BASELINE, EFFECTS, SURROGATE
 from .measurement import Measurements, Tolerances
-from .provenance import commit, digest, source_file
-from .report import version as package_version
+from .provenance import commit, digest, package, source_file
+
+if TYPE_CHECKING:
+    from .adopt import Adoption
 
 Array = np.ndarray
-
-EFFECTS, SURROGATE = "effects", "surrogate"
-"""Folders in that of a version."""
-
-BASELINE = "baseline"
-"""The model without adopted effects: the first parent."""
 
 DIGITS = 12
 """Hexadecimal digits of an id."""
@@ -256,7 +246,7 @@ class ModelVersion:
             own={n: path.name for n, path in paths.items() if n not in builtin},
             warnings=adoption.warnings,
             generator=GENERATOR_VERSION,
-            package=package_version(),
+            package=package(),
             commit=commit(),
             date=date,
         )
@@ -290,7 +280,7 @@ class ModelVersion:
         more : mapping of str to mapping of str to float, SI
             Other effects on top, or other values of these.
         effects_dir : Path, optional
-            Folder that has its own effects and those of `more`, see `folder.effects_of`.
+            Folder of its own effects and of `more`, see `folder.effects_of`.
 
         Raises
         ------

@@ -4,7 +4,7 @@
 
     WORKSPACE/
       current.json   the version in use, and those in use before it
-      NAME/          a version, see `version`
+      NAME/          a version, see `layout`
 
 A workspace belongs to one lab and its batches: versions of one never serve another.
 The one in use changes by renaming one small file, so that a reader sees the old one or
@@ -21,12 +21,15 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from datagen.atomic import TEMPORARY, reason, replacing, sync
 from datagen.errors import FileError, InputError
 
-from .folder import is_version, read
-from .version import BASELINE, ModelVersion
+from .layout import BASELINE, is_version
+
+if TYPE_CHECKING:
+    from .version import ModelVersion
 
 CURRENT = "current.json"
 
@@ -84,6 +87,8 @@ class Workspace:
 
     def entries(self) -> tuple[Entry, ...]:
         """All versions, by date and name; those that cannot be read come last."""
+        from .folder import read  # heavy: only where a version is looked at
+
         found = []
         for path in self._folders():
             try:
@@ -150,7 +155,7 @@ class Workspace:
 
     @property
     def current_name(self) -> str:
-        """Name of the version in use, or `version.BASELINE`."""
+        """Name of the version in use, or `layout.BASELINE`."""
         return self._history()[-1]
 
     # -- what changes it ---------------------------------------------------------------

@@ -85,8 +85,9 @@ def adopt(
     from discrepancy.adopt import adopt as fit
     from discrepancy.adopt import joined
     from discrepancy.folder import effects_of, vacant
+    from discrepancy.layout import BASELINE
     from discrepancy.study import Study
-    from discrepancy.version import BASELINE, ModelVersion
+    from discrepancy.version import ModelVersion
     from discrepancy.workspace import locate, place
 
     from .adoption import adoption_json

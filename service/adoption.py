@@ -14,8 +14,9 @@ from datagen.specimens import Tensile
 from discrepancy.adopt import Adoption, emulation_error
 from discrepancy.columns import NUMBERS
 from discrepancy.ladder import BOOTSTRAP, JACKKNIFE, Rung
+from discrepancy.layout import BASELINE
 from discrepancy.rank import Candidate
-from discrepancy.version import BASELINE, Estimate, ModelVersion, rung_json
+from discrepancy.version import Estimate, ModelVersion, rung_json
 from discrepancy.words import BENCH, decimals, sizes
 
 from .comparison import load_of, number, numbers

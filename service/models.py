@@ -211,7 +211,7 @@ def _in_use(home: Workspace, name: str, as_json: bool) -> None:
 def _version(text: str, workspace: Path | None) -> ModelVersion | None:
     """A version by path, name or id; None for the baseline."""
     from discrepancy.folder import read
-    from discrepancy.version import BASELINE
+    from discrepancy.layout import BASELINE
     from discrepancy.workspace import locate
 
     return None if text == BASELINE else read(locate(text, workspace))

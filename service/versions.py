@@ -35,8 +35,7 @@ def chosen_version(model: str | None, workspace: Path | None) -> ModelVersion | 
     FileError, InputError
         When there is no such version, or it is damaged.
     """
-    from discrepancy.folder import is_version, read
-    from discrepancy.version import BASELINE
+    from discrepancy.layout import BASELINE, is_version
     from discrepancy.workspace import Workspace, default_workspace, locate
 
     if model is None:
@@ -45,7 +44,11 @@ def chosen_version(model: str | None, workspace: Path | None) -> ModelVersion | 
     if model == BASELINE:
         return None
     folder = locate(model, workspace)
-    return read(folder) if is_version(folder) else None
+    if not is_version(folder):
+        return None
+    from discrepancy.folder import read
+
+    return read(folder)
 
 
 def named_version(model: str | None, workspace: Path | None) -> ModelVersion | None:
@@ -59,7 +62,7 @@ def named_version(model: str | None, workspace: Path | None) -> ModelVersion | N
     if model is None:
         return None
     from discrepancy.folder import read
-    from discrepancy.version import BASELINE
+    from discrepancy.layout import BASELINE
     from discrepancy.workspace import locate
 
     return None if model == BASELINE else read(locate(model, workspace))
