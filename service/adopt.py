@@ -120,17 +120,20 @@ def adopt(
             files=measured,
             date=date,
         ).save(folder, own)
+        in_use = home is not None and use
+        if home is not None and use:
+            home.use(folder.name)
         if report is not None:
             from datagen.atomic import replacing
             from discrepancy.adopt_report import adopt_report
+            from discrepancy.sharpen import sharpen
 
-            page = adopt_report(made, version)
+            page = adopt_report(
+                made, version, sharpen(study, made.fit), _lineage(parent, measured)
+            )
             with replacing(report) as temporary:
                 temporary.write_text(page, encoding="utf-8")
-    if home is not None and use:
-        home.use(folder.name)
     warnings = [*everything.warnings, *made.warnings, *_lineage(parent, measured)]
-    in_use = home is not None and use
     if as_json:
         data = adoption_json(made, version)
         place_json = {"workspace": str(home.folder) if home else None, "in_use": in_use}
