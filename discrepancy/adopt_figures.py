@@ -44,7 +44,7 @@ def ladder_figure(rungs: Sequence[Rung]) -> Figure:
     floor = next((one for one in shown if one.name == FLOOR), None)
     steps = [one for one in shown if one.name != FLOOR]
     layout = layout_of("Error on devices left out of the fit", 108 + ROW * len(steps))
-    layout["margin"]["r"] = 120
+    layout["margin"]["r"] = 40
     layout["xaxis"] = axis("Error (noise std)", type="log", dtick="D2")
     layout["yaxis"] = axis(
         range=[len(steps) - 0.5, -0.5],

@@ -122,7 +122,7 @@ class ModelVersion:
     generator, package, commit : str
         Versions of the code; commit is empty where it is not known.
     date : str
-        When it was adopted, as the caller wrote it; no part of the id.
+        When it was adopted, as the caller wrote it.
     folder : Path, optional
         Where it was read from or written to.
 
@@ -330,9 +330,14 @@ class ModelVersion:
 
     @cached_property
     def version(self) -> str:
-        """Id: twelve hexadecimal digits of what it is made of, the date left out."""
+        """Id: twelve hexadecimal digits of what decides its answers.
+
+        When and from which commit it was made is left out: the same fit to the same
+        files has the same id.
+        """
         content = self.to_json()
-        del content["date"]
+        for name in ("date", "commit", "package"):
+            del content[name]
         return content_hash(content)[:DIGITS]
 
     def to_json(self) -> dict[str, Any]:
