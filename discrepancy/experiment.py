@@ -230,7 +230,7 @@ def next_measurement(study: Study, ranking: Ranking) -> list[Proposal]:
             )
         except InputError:
             continue
-        fits = _carried(more, [one.fit for one in chosen])
+        fits = carried(more, [one.fit for one in chosen])
         if fits is None:
             continue
         then, between = separation(fits)
@@ -238,7 +238,7 @@ def next_measurement(study: Study, ranking: Ranking) -> list[Proposal]:
     return sorted(found, key=lambda one: -one.then)
 
 
-def _carried(study: Study, fits: Sequence[Fit]) -> list[Fit] | None:
+def carried(study: Study, fits: Sequence[Fit]) -> list[Fit] | None:
     """The same fits in a study with one curve more; None where it is not reached."""
     solved = study.solve(
         [(one.hypothesis.effects, one.t) for one in fits],  # type: ignore[attr-defined]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,6 +47,20 @@ ROW, NUMBERED = 26, 14
 
 SHOWN, LEAST = 12, 1e-3
 """Most hypotheses in the ranking's bars, and the probability that others need."""
+
+
+class Line(NamedTuple):
+    """A prediction in a figure.
+
+    label, dash, colour : str; values : (n,) array, SI, of all readings, NaN where there
+    is none; ends : (n,) arrays of a band around it, or None.
+    """
+
+    label: str
+    dash: str
+    colour: str
+    values: Array
+    ends: tuple[Array, Array] | None = None
 
 
 def _curves(study: Study, group: int, device: int) -> list[Array]:
@@ -120,45 +134,71 @@ def overlay(
         Bars and bands hold 90 %: bars of the noise, bands of what the readings leave
         open in calibrations and parameters.
     """
+    fits = [("Baseline, calibrated", "dash", BASELINE, baseline)]
+    if best is not None and best.hypothesis.name != baseline.hypothesis.name:
+        label = f"With {in_words(best.hypothesis.name)}"
+        fits.append((label, "solid", BEST, best))
+    lines = [
+        Line(label, dash, colour, fit.predict(), calibrated_band(fit))
+        for label, dash, colour, fit in fits
+    ]
+    return curves(study, group, lines, baseline, devices)
+
+
+def curves(
+    study: Study,
+    group: int,
+    lines: Sequence[Line],
+    noise: Fit,
+    devices: Sequence[str] | None = None,
+) -> Figure:
+    """Measured points over predictions, a panel a device.
+
+    Parameters
+    ----------
+    study : Study
+    group : int
+        Quantity, by its number in `Study.kinds`.
+    lines : sequence of Line
+    noise : Fit
+        Whose noise the bars of the points show, 90 % of it.
+    devices : sequence of str, optional
+        Those to show; all by default.
+    """
     y, x = quantity_axis(study, group), load_axis(study, group)
     names = _chosen(study, group, devices)
     load = loads(study) / x.factor
     down = _unloading(study)
-    lines = [("Baseline, calibrated", "dash", BASELINE, baseline)]
-    if best is not None and best.hypothesis.name != baseline.hypothesis.name:
-        label = f"With {in_words(best.hypothesis.name)}"
-        lines.append((label, "solid", BEST, best))
     title = f"{y.title}: measured and predicted"
-    labels = [label for label, *_ in lines]
+    labels = [line.label for line in lines]
     layout = panels(title, names, x.label, y.label, [*labels, "Measured"])
-    known = [(fit.predict(), *calibrated_band(fit)) for *_, fit in lines]
     data: list[dict[str, Any]] = []
     for i, name in enumerate(names):
         axes = {"xaxis": f"x{suffix(i)}", "yaxis": f"y{suffix(i)}"}
         device = study.measurements.devices.index(name)
         for j, at in enumerate(_curves(study, group, device)):
             first = i == 0 and j == 0
-            for (label, dash, colour, _), (value, low, high) in zip(
-                lines, known, strict=True
-            ):
-                ends = (low[at] / y.factor, high[at] / y.factor)
-                data += band(load[at], *ends, colour, axes)
+            for line in lines:
+                if line.ends is not None:
+                    low, high = (end[at] / y.factor for end in line.ends)
+                    data += band(load[at], low, high, line.colour, axes)
+                value = line.values[at] / y.factor
                 data.append(
                     {
                         "type": "scatter",
                         "mode": "lines",
                         "x": load[at].tolist(),
-                        "y": (value[at] / y.factor).tolist(),
-                        "line": {"color": colour, "width": 1.8, "dash": dash},
-                        "name": plain(label),
-                        "legendgroup": label,
+                        "y": [v if math.isfinite(v) else None for v in value.tolist()],
+                        "line": {"color": line.colour, "width": 1.8, "dash": line.dash},
+                        "name": plain(line.label),
+                        "legendgroup": line.label,
                         "showlegend": first,
                         "hovertemplate": f"%{{y:.4g}} {y.unit}"
-                        f"<extra>{plain(label)}</extra>",
+                        f"<extra>{plain(line.label)}</extra>",
                     }
                     | axes
                 )
-            data.append(_measured(study, at, load, down, baseline, y, first) | axes)
+            data.append(_measured(study, at, load, down, noise, y, first) | axes)
     return {"data": data, "layout": layout}
 
 

@@ -173,14 +173,15 @@ class Search:
 
     # -- solves --------------------------------------------------------------------
 
-    def solve_singles(self) -> list[str]:
-        """First solves of every candidate; names of those that can be judged."""
+    def solve_singles(self, among: Sequence[str] | None = None) -> list[str]:
+        """First solves of candidates, of all or of some; those that can be judged."""
         study = self.study
-        for name in study.effects:
+        among = list(study.effects) if among is None else among
+        for name in among:
             why = study.blind(name)
             if why:
                 self.unjudged[name] = why
-        names = [name for name in study.effects if name not in self.unjudged]
+        names = [name for name in among if name not in self.unjudged]
         straight = []
         if not study.quick:
             bends = study.bends(study.tangents(names))
@@ -299,6 +300,18 @@ class Search:
         present = self.study.present(_effects(one))
         assert present is not None
         return fit(self.study.readings, present, starts=[one.t], seed=self.seed)
+
+    def together(self, names: Sequence[str], known: dict[str, Fit]) -> Fit:
+        """Effects at once, solved until their curves are known at the best fit.
+
+        Starts from the fits of each of them alone.
+        """
+        present = self.study.present(names)
+        assert present is not None
+        starts = [self._joined(present, known)] if known else []
+        readings = self.study.readings
+        first = fit(readings, present, starts=starts, seed=self.seed)
+        return sound(readings, self.refine([first]), self.seed)[0]
 
     def pairs(self, fits: Sequence[Fit]) -> list[Fit]:
         """Pairs of the best singles with all others, the promising ones solved."""

@@ -1,48 +1,33 @@
 """A ranking as one HTML file that opens anywhere, without a network, and prints.
 
-Plotly's script is embedded once, from the installed wheel; a content security policy
-in the file keeps it from fetching anything.  Everything that comes from a measurement
-or an effect file is escaped.
+Everything that comes from a measurement or an effect file is escaped.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from html import escape
-from importlib import metadata, resources
-from pathlib import Path as FilePath
-
-import numpy as np
 
 from datagen.model import GENERATOR_VERSION
 
 from . import figures
-from .evidence import Fit
 from .figures import Figure
+from .page import (
+    count,
+    document,
+    errors,
+    figure,
+    heading,
+    pages,
+    paragraph,
+    small,
+    table,
+)
+from .provenance import package
 from .rank import PAIRS, PARTNERS, Candidate, Ranking
 from .study import Study
-from .words import (
-    INSIDE,
-    in_words,
-    log_odds,
-    percent,
-    quantity_axis,
-    sizes,
-    verdict,
-)
-
-CONTENT_SECURITY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src data: blob:; base-uri 'none'; form-action 'none'"
-)
-
-WIDTH = 690
-"""px.  Width of a figure: what A4 holds between its margins."""
-
-PANELS = 12
-"""Devices in one figure: more would not fit on a page."""
+from .words import INSIDE, in_words, log_odds, percent, sizes, verdict
 
 SIGNATURES = 4
 """Candidates whose signatures are drawn."""
@@ -53,15 +38,6 @@ probability."""
 
 NONE = "\u2013"
 """What stands in a cell that has nothing to say."""
-
-_DRAW = """
-for (const place of document.querySelectorAll("figure > div[data-figure]")) {
-  const source = document.getElementById(place.dataset.figure);
-  const figure = JSON.parse(source.textContent);
-  Plotly.newPlot(place, figure.data, figure.layout,
-                 {displaylogo: false, responsive: false});
-}
-"""
 
 
 def report(
@@ -103,90 +79,13 @@ def report(
             _next(next_measurement),
             _unjudged(ranking),
             _warnings(study, ranking),
-            _errors(study, ranking.best.fit),
+            errors(study, ranking.best.fit),
             _method(study),
             _versions(study, seed),
         )
         for part in section
     )
-    style = (resources.files(__package__) / "report.css").read_text(encoding="utf-8")
-    data = "\n".join(
-        f'<script type="application/json" id="figure-{i}">{_json(figure)}</script>'
-        for i, figure in enumerate(drawn)
-    )
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
-<style>
-{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-{data}
-<script>{_plotly()}</script>
-<script>{_DRAW}</script>
-</body>
-</html>
-"""
-
-
-def _plotly() -> str:
-    """Plotly's JavaScript, from the installed wheel."""
-    folder = FilePath(str(resources.files("plotly"))) / "package_data"
-    script = (folder / "plotly.min.js").read_text(encoding="utf-8")
-    # Within a script element only its end tag is read as HTML.
-    return script.replace("</script", "<\\/script")
-
-
-def _json(figure: Figure) -> str:
-    """A figure as JSON that cannot end the element it stands in."""
-    figure["layout"]["width"] = WIDTH
-    text = json.dumps(figure, allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-def _heading(text: str) -> str:
-    return f"<h2>{escape(text)}</h2>"
-
-
-def _paragraph(text: str, kind: str = "") -> str:
-    opened = f'<p class="{kind}">' if kind else "<p>"
-    return f"{opened}{escape(text)}</p>"
-
-
-def _table(
-    heads: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    numbers: Sequence[int] = (),
-    kind: str = "plain",
-) -> str:
-    """A table of cells that are HTML already; `numbers` are aligned to the right."""
-
-    def cells(row: Sequence[str], tag: str) -> str:
-        opened = [
-            f'<{tag} class="number">' if i in numbers else f"<{tag}>"
-            for i in range(len(row))
-        ]
-        return "".join(
-            f"{start}{cell}</{tag}>" for start, cell in zip(opened, row, strict=True)
-        )
-
-    body = "\n".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    head = cells([escape(one) for one in heads], "th")
-    return (
-        f'<table class="{kind}">\n<thead><tr>{head}</tr></thead>\n'
-        f"<tbody>\n{body}\n</tbody></table>"
-    )
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
+    return document(title, body, drawn)
 
 
 def _head(
@@ -195,16 +94,16 @@ def _head(
     devices = len({c.device for c in study.measurements.curves})
     judged = sum(1 for c in ranking.candidates if len(c.effects) == 1 and not c.unnamed)
     yield "<h1>Which physics is missing?</h1>"
-    yield _paragraph(
-        f"{name}: {_count(devices, 'device')}, "
-        f"{_count(len(study.measurements.curves), 'curve')}, "
-        f"{_count(len(study.readings.value), 'reading')}; "
-        f"{_count(judged, 'effect')} judged, alone and in pairs.",
+    yield paragraph(
+        f"{name}: {count(devices, 'device')}, "
+        f"{count(len(study.measurements.curves), 'curve')}, "
+        f"{count(len(study.readings.value), 'reading')}; "
+        f"{count(judged, 'effect')} judged, alone and in pairs.",
         "muted",
     )
     text = escape(verdict(ranking, next_measurement))
     yield f'<p class="verdict {escape(ranking.verdict)}">{text}</p>'
-    yield _paragraph(
+    yield paragraph(
         "On devices left out of the fit, the baseline errs by "
         f"{ranking.baseline_error:.2f} times the noise; a model with the right physics "
         f"would err by about {ranking.noise_floor:.2f}, since each new device has its "
@@ -218,7 +117,7 @@ def _candidates(study: Study, ranking: Ranking) -> Iterator[str]:
     for i, one in enumerate(ranking.candidates):
         known = i < FIRST or one.name == "nothing" or one.tied_with
         (shown if known or one.probability > LEAST else rest).append(one)
-    yield _heading("Candidates")
+    yield heading("Candidates")
     heads = "".join(
         f"<th{' class=number' if head in _NUMBERS else ''}>{escape(head)}</th>"
         for head in _HEADS
@@ -227,8 +126,8 @@ def _candidates(study: Study, ranking: Ranking) -> Iterator[str]:
     yield f"<table>\n<thead><tr>{heads}</tr></thead>\n{bodies}\n</table>"
     if rest:
         names = ", ".join(in_words(one.name) for one in rest)
-        yield _paragraph(f"Judged, each below {100 * LEAST:g} %: {names}.", "muted")
-    yield _paragraph(
+        yield paragraph(f"Judged, each below {100 * LEAST:g} %: {names}.", "muted")
+    yield paragraph(
         "Log odds are against the first. Held-out error: root mean square of what is "
         "left on devices that took no part in the fit, in units of the noise; worked "
         'out for the most probable and for "nothing missing".',
@@ -238,7 +137,7 @@ def _candidates(study: Study, ranking: Ranking) -> Iterator[str]:
     told = [(name, study.effects[name]) for name in named if name in study.effects]
     if told:
         rows = [(escape(n), escape(_first(effect.doc))) for n, effect in told]
-        yield _table(("Effect", "What it is"), rows, kind="named")
+        yield table(("Effect", "What it is"), rows, kind="named")
 
 
 _HEADS = (
@@ -257,10 +156,10 @@ def _body(ranking: Ranking, one: Candidate) -> str:
     """Rows of one candidate, one for each of its parameters."""
     name = f"<strong>{escape(in_words(one.name))}</strong>"
     tied = ", ".join(in_words(other) for other in one.tied_with)
-    name += f"<br>{_small(f'tied with {tied}')}" if tied else ""
+    name += f"<br>{small(f'tied with {tied}')}" if tied else ""
     odds = escape(percent(one.probability))
     if one is not ranking.best:
-        odds += f"<br>{_small(log_odds(ranking, one))}"
+        odds += f"<br>{small(log_odds(ranking, one))}"
     error = one.heldout_error
     left = f"{error:.2f}" if math.isfinite(error) else NONE
     rows = [
@@ -290,43 +189,28 @@ def _first(doc: str) -> str:
     return " ".join(doc.split("\n\n")[0].split())
 
 
-def _small(text: str) -> str:
-    return f'<span class="muted">{escape(text)}</span>'
-
-
 def _fails(text: str) -> Iterator[str]:
     if text:
-        yield _heading("Where the baseline fails")
-        yield from (_paragraph(line) for line in text.splitlines() if line.strip())
-
-
-def _figure(drawn: list[Figure], figure: Figure, caption: str) -> str:
-    """A place for a figure, which is drawn when the file is opened."""
-    drawn.append(figure)
-    height = figure["layout"]["height"]
-    key = f"figure-{len(drawn) - 1}"
-    return (
-        f'<figure><div data-figure="{key}" style="min-height:{height:.0f}px"></div>'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+        yield heading("Where the baseline fails")
+        yield from (paragraph(line) for line in text.splitlines() if line.strip())
 
 
 def _figures(study: Study, ranking: Ranking, drawn: list[Figure]) -> Iterator[str]:
     baseline = ranking.candidate("nothing").fit
     named = [c for c in ranking.candidates if c.effects and not c.unnamed]
     groups = range(len(study.kinds))
-    yield _heading("Figures")
+    yield heading("Figures")
     yield (
         "<noscript><p>The figures are drawn by the script in this file; the tables say "
         "the same without it.</p></noscript>"
     )
-    yield _figure(
+    yield figure(
         drawn,
         figures.ranking_bars(ranking),
         "Probabilities add up to one over all explanations, those not shown included. "
         "Hatched: tied, these readings do not tell them apart.",
     )
-    yield _figure(
+    yield figure(
         drawn,
         figures.residual_map(study, baseline),
         "Each cell is a reading less what the baseline predicts after moduli, "
@@ -334,23 +218,23 @@ def _figures(study: Study, ranking: Ranking, drawn: list[Figure]) -> Iterator[st
         "within 2 noise standard deviations are what noise alone does.",
     )
     for group in groups:
-        for devices in _pages(study, group):
-            yield _figure(
+        for devices in pages(study, group):
+            yield figure(
                 drawn,
                 figures.overlay(study, group, baseline, ranking.best.fit, devices),
                 "Points: measured, their bars 90 % of the noise. Bands: 90 % of what "
                 "calibrations and sizes leave open. Open points: unloading.",
             )
     for group in groups if named else ():
-        for devices in _pages(study, group):
-            yield _figure(
+        for devices in pages(study, group):
+            yield figure(
                 drawn,
                 figures.signatures(study, group, baseline, named[:SIGNATURES], devices),
                 "Points: what the baseline leaves. Lines: what each candidate changes "
                 "at its best size, calibrations adjusted anew. The right one runs "
                 "through the points on every device.",
             )
-    yield _figure(
+    yield figure(
         drawn,
         figures.confusion_matrix(ranking),
         "If the explanation of a row were true, how often, in percent, readings of "
@@ -359,23 +243,16 @@ def _figures(study: Study, ranking: Ranking, drawn: list[Figure]) -> Iterator[st
     )
 
 
-def _pages(study: Study, group: int) -> Iterator[Sequence[str]]:
-    """Devices with readings of one quantity, as many at a time as a page holds."""
-    names = figures.devices_of(study, group)
-    for start in range(0, len(names), PANELS):
-        yield names[start : start + PANELS]
-
-
 def _next(text: str) -> Iterator[str]:
     if text:
-        yield _heading("What to measure next")
-        yield from (_paragraph(line) for line in text.splitlines() if line.strip())
+        yield heading("What to measure next")
+        yield from (paragraph(line) for line in text.splitlines() if line.strip())
 
 
 def _unjudged(ranking: Ranking) -> Iterator[str]:
     if ranking.unjudged:
-        yield _heading("What could not be judged")
-        yield _table(
+        yield heading("What could not be judged")
+        yield table(
             ("Effect", "Why"),
             [(escape(n), escape(why)) for n, why in sorted(ranking.unjudged.items())],
         )
@@ -384,34 +261,8 @@ def _unjudged(ranking: Ranking) -> Iterator[str]:
 def _warnings(study: Study, ranking: Ranking) -> Iterator[str]:
     lines = dict.fromkeys((*study.measurements.warnings, *ranking.warnings))
     if lines:
-        yield _heading("Warnings")
+        yield heading("Warnings")
         yield f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
-
-
-def _errors(study: Study, best: Fit) -> Iterator[str]:
-    """What the readings' errors were taken to be."""
-    readings, smooth = best.readings, best.amplitude("smooth")
-    rows = []
-    for g in range(len(study.kinds)):
-        at = readings.group == g
-        axis = quantity_axis(study, g)
-        noise = np.median(best.noise[at]) / axis.factor
-        how = "stated" if readings.stated[at].all() else "inferred"
-        share = f"{100 * smooth[g]:.1f} %" if g in smooth else "none"
-        rows.append(
-            (escape(axis.title), str(at.sum()), f"{noise:.2g} {axis.unit}", how, share)
-        )
-    yield _heading("Errors of the readings")
-    yield _table(
-        ("Quantity", "Readings", "Noise (std)", "Noise is", "Smooth errors"),
-        rows,
-        numbers=(1, 2, 4),
-    )
-    yield _paragraph(
-        "Smooth errors bend a whole curve (camera set-up, mesh, small lacks of the "
-        "model); inferred, as a share of the curve's largest value.",
-        "muted",
-    )
 
 
 def _method(study: Study) -> Iterator[str]:
@@ -435,16 +286,8 @@ def _method(study: Study) -> Iterator[str]:
         "Candidates that these readings cannot tell apart are called tied, and every "
         "candidate is also judged on devices left out of its fit.",
     )
-    yield _heading("Method")
+    yield heading("Method")
     yield f"<ol>{''.join(f'<li>{escape(one)}</li>' for one in sentences)}</ol>"
-
-
-def version() -> str:
-    """Version of the installed package."""
-    try:
-        return metadata.version("pba")
-    except metadata.PackageNotFoundError:  # run from a source tree
-        return "0+source"
 
 
 def _versions(study: Study, seed: int) -> Iterator[str]:
@@ -452,14 +295,14 @@ def _versions(study: Study, seed: int) -> Iterator[str]:
     rows = [
         ("Measurement file", measured.source or "not from a file"),
         ("Its SHA-256", measured.sha256 or "not from a file"),
-        ("pba", version()),
+        ("pba", package()),
         ("Generator version", GENERATOR_VERSION),
         ("Mesh", f"baseline {study.level}, changes by effects {study.fast}"),
         ("Seed", str(seed)),
         ("Effects", ", ".join(study.effects)),
     ]
-    yield _heading("Versions")
-    yield _table(
+    yield heading("Versions")
+    yield table(
         ("What", "Which"),
         [(escape(what), f"<code>{escape(which)}</code>") for what, which in rows],
         kind="named",

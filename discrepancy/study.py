@@ -8,7 +8,7 @@ the model's mesh; what an effect changes is solved on a faster one and added.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -375,6 +375,21 @@ class Study:
             if not math.isfinite(size):
                 found[name] = 2.0
         return found
+
+    def on_mesh(
+        self, names: tuple[str, ...], values: Mapping[str, float], level: str
+    ) -> Array:
+        """(n,) readings by finite elements, SI, NaN where a path ends before.
+
+        Parameters
+        ----------
+        values : mapping of ``effect.parameter`` to float, SI
+        """
+        t = [p.coordinate(values[p.parameter.name]) for p in self.priors(names)]
+        tasks = [self.paths.task(c, level, names, t) for c in self.paths.curves]
+        answers = self.solver.all(tasks, "corrected curves")
+        solved = [answers[task] for task in tasks]
+        return self.paths.gather(self.cells, names, solved)[0]
 
     # -- hypotheses ----------------------------------------------------------------
 

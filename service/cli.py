@@ -20,9 +20,11 @@ from typer import Argument, Option
 
 from datagen.errors import EffectError, FileError, InputError, Interrupted, PbaError
 
+from .adopt import adopt
 from .challenge import challenge_app
 from .discrepancy import compare
 from .effects import effects_app
+from .models import models_app
 from .options import (
     DEFAULT_PRESSURES,
     MANY_DESIGNS,
@@ -33,6 +35,7 @@ from .options import (
     Level,
     Pressures,
     Settings,
+    WorkspaceDir,
     number,
     whole,
 )
@@ -41,6 +44,7 @@ from .terminal import Stopped, print_json, print_rich, waiting
 
 if TYPE_CHECKING:
     from datagen.device import Design
+    from discrepancy.version import ModelVersion
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as in a shell."""
@@ -56,8 +60,10 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.add_typer(effects_app, name="effects")
+app.add_typer(models_app, name="models")
 app.command()(compare)
 app.command()(rank)
+app.command()(adopt)
 app.add_typer(challenge_app, name="challenge")
 
 
@@ -74,6 +80,14 @@ def solve(
         ),
     ] = [],  # noqa: B006
     effects_dir: EffectsDir = None,
+    model: Annotated[
+        str | None,
+        Option(
+            metavar="MODEL",
+            help="Folder, name or id of a model version: its effects are on, too.",
+        ),
+    ] = None,
+    workspace: WorkspaceDir = None,
     pressures: Pressures = DEFAULT_PRESSURES,
     level: Level = "standard",
     sensitivities: Annotated[
@@ -106,41 +120,45 @@ def solve(
     design = _design(device, case, settings)
     pressure = pressures_from_bench(parse_pressures(pressures))
     parameters = parse_effects(effect)
-    from datagen.model import Model
-
     from .answer import fem_answer
-    from .tasks import fem_version
+    from .versions import fem_model, fem_name, named_version
 
-    model = Model(tuple(parameters), level, parameters, effects_dir)
-    with waiting("finite elements", as_json):
-        answer = fem_answer(
-            model,
-            fem_version(level),
-            design,
-            pressure,
-            sensitivities=sensitivities,
-            beyond=beyond,
-            mesh_error=mesh_error,
-        )
+    version = named_version(model, workspace)
+    with fem_model(version, parameters, level, effects_dir) as forward:
+        parameters = {name: dict(own) for name, own in forward.parameters.items()}
+        with waiting("finite elements", as_json):
+            answer = fem_answer(
+                forward,
+                fem_name(level, version),
+                design,
+                pressure,
+                sensitivities=sensitivities,
+                beyond=beyond,
+                mesh_error=mesh_error,
+            )
     lists = answer.to_solution() | {"level": level, "effects": parameters}
-    if not as_json:
-        _show_path(lists)
-        if sensitivities:
-            from .terminal import sensitivity_table
-
-            print_rich(sensitivity_table(lists))
-    else:
+    if as_json:
         print_json(lists)
+        return
+    _show_path(lists)
+    if sensitivities:
+        from .terminal import sensitivity_table
+
+        print_rich(sensitivity_table(lists))
+    _show_version(version)
 
 
 @app.command()
 def predict(
     model: Annotated[
-        Path | None,
+        str | None,
         Option(
-            metavar="MODEL", help="Folder of a trained model; else the shipped one."
+            metavar="MODEL",
+            help="Folder of a trained model, or folder, name or id of a model version; "
+            "else the version in use, else the shipped model.",
         ),
     ] = None,
+    workspace: WorkspaceDir = None,
     device: Device = "S1",
     case: Case = 1,
     settings: Settings = [],  # noqa: B006
@@ -148,34 +166,48 @@ def predict(
     level: Level = "standard",
     as_json: AsJson = False,
 ) -> None:
-    """The surrogate's answer with its interval; finite elements where out of range."""
+    """The surrogate's answer with its interval; finite elements where out of range.
+
+    Of the model version in use in the workspace, where there is one.
+    """
     from .answer import fem_answer, load_model, surrogate_answer
     from .bench import parse_pressures, pressures_from_bench
+    from .versions import chosen_version, version_answer
 
     design = _design(device, case, settings)
     pressure = pressures_from_bench(parse_pressures(pressures))
-    surrogate = load_model(model)
-    check = surrogate.check(design, pressure)
-    if check.in_range:
-        answer = surrogate_answer(surrogate, design, pressure, check)
+    version = chosen_version(model, workspace)
+    if version is not None:
+        with waiting("model version", as_json):
+            answer = version_answer(version, design, pressure, level)
     else:
-        from datagen.model import Model
+        shipped = model is None or model == "baseline"
+        surrogate = load_model(None if shipped else Path(str(model)))
+        check = surrogate.check(design, pressure)
+        if check.in_range:
+            answer = surrogate_answer(surrogate, design, pressure, check)
+        else:
+            from datagen.model import Model
 
-        from .tasks import fem_version
+            from .tasks import fem_version
 
-        fem = Model(level=level)
-        with waiting("out of range: finite elements", as_json):
-            answer = fem_answer(
-                fem, fem_version(level), design, pressure, False, check.reasons
-            )
+            fem = Model(level=level)
+            with waiting("out of range: finite elements", as_json):
+                answer = fem_answer(
+                    fem, fem_version(level), design, pressure, False, check.reasons
+                )
+    lists = answer.to_columns()
+    if version is not None:
+        lists |= {"effects": version.parameters(), "version": version.version}
     if as_json:
-        print_json(answer.to_columns())
+        print_json(lists)
         return
-    _show_path(answer.to_columns())
+    _show_path(lists)
     who = f"Surrogate {answer.model_version}, 90 % interval."
     print(who if answer.source == "surrogate" else "Finite elements, because:")
     for line in (*answer.reasons, *answer.notes):
         print(f"  {line}")
+    _show_version(version)
 
 
 @app.command()
@@ -393,6 +425,11 @@ def _design(device: str, case: int, settings: Sequence[str]) -> Design:
     from .bench import design_from_bench, parse_settings
 
     return design_from_bench(parse_settings(settings), device, case)
+
+
+def _show_version(version: ModelVersion | None) -> None:
+    if version is not None:
+        print(f"Model version {version.version} with {', '.join(version.effects)}.")
 
 
 def _show_path(lists: Mapping[str, Any]) -> None:

@@ -77,3 +77,11 @@ Level = Annotated[str, Option(help="Mesh: draft, standard or fine.")]
 EffectsDir = Annotated[
     Path | None, Option(metavar="DIR", help="Folder with effects of your own.")
 ]
+WorkspaceDir = Annotated[
+    Path | None,
+    Option(
+        "--workspace",
+        metavar="DIR",
+        help="Folder of model versions; else PBA_WORKSPACE, or pba-models here.",
+    ),
+]

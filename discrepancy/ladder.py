@@ -1,0 +1,235 @@
+"""The ladder: how far the error on devices that were left out falls, rung by rung.
+
+A rung's error is the root mean square of residuals over the noise, each device judged
+by a fit that did not see it.  Devices are what is drawn anew, not readings: readings of
+one device share its thicknesses and its camera.  All rungs are compared on the same
+draws, so that what devices have in common does not blur the step from one to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from datagen.errors import InputError
+
+from .evidence import Fit
+from .noise import smooth_kernel
+
+Array = np.ndarray
+
+BASELINE, RECALIBRATED, FLOOR = "baseline", "recalibrated", "noise floor"
+"""Names of the rungs that have no effect of their own."""
+
+FEW = 4
+"""Devices below which a bootstrap has too few different draws: 10 of three."""
+
+DRAWS = 4000
+"""Bootstrap draws, and made-up sets of residuals behind the floor's interval."""
+
+TAIL = 0.05
+"""Probability beyond each end of an interval."""
+
+BOOTSTRAP, JACKKNIFE, NONE = "bootstrap", "jackknife", "none"
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One model and its error on devices that were left out of its fit.
+
+    Parameters
+    ----------
+    name : str
+        ``baseline``, ``recalibrated``, ``+ EFFECT``, ``noise floor``.
+    effects : tuple of str
+        That act in it.
+    heldout_error : float
+        Root mean square of held-out residuals over the noise; NaN with one device.
+    low, high : float
+        90 % interval over devices; of the floor, where the error of a right model lies
+        in 90 % of sets of such devices.
+    ratio, ratio_low, ratio_high : float
+        Of the error to that of the rung before, with its interval; NaN where there is
+        none to compare with.
+
+    Raises
+    ------
+    InputError
+        When an error is negative or an interval does not hold it.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    heldout_error: float
+    low: float
+    high: float
+    ratio: float = math.nan
+    ratio_low: float = math.nan
+    ratio_high: float = math.nan
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InputError("rung", self.name, "a name")
+        for name in ("heldout_error", "ratio"):
+            value = getattr(self, name)
+            if value < 0 or math.isinf(value):
+                raise InputError(name, value, "a number of at least 0")
+        if self.low > self.high:
+            raise InputError("low", self.low, f"at most {self.high:g}")
+
+    @property
+    def helps(self) -> bool:
+        """True where the error is clearly below that of the rung before."""
+        return self.ratio_high < 1
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Held-out residuals of the models of a ladder, by device.
+
+    Parameters
+    ----------
+    squares : (m, d) array
+        Sums of squared residuals of each model and device.
+    counts : (d,) array
+        Readings of each device.
+    seed : int
+    """
+
+    squares: Array
+    counts: Array
+    seed: int = 0
+
+    @classmethod
+    def of(cls, residuals: Sequence[Array], device: Array, seed: int = 0) -> Judged:
+        """From residuals (n,) of each model, and the device (n,) of each reading."""
+        devices = np.unique(device)
+        squares = [[(r[device == d] ** 2).sum() for d in devices] for r in residuals]
+        counts = [int((device == d).sum()) for d in devices]
+        return cls(np.array(squares), np.array(counts, dtype=float), seed)
+
+    @property
+    def method(self) -> str:
+        """How intervals are made: `BOOTSTRAP`, `JACKKNIFE`, `NONE` for one device."""
+        devices = len(self.counts)
+        if devices < 2:
+            return NONE
+        return JACKKNIFE if devices < FEW else BOOTSTRAP
+
+    def error(self, model: int) -> tuple[float, float, float]:
+        """Root mean square of a model's residuals, and its 90 % interval."""
+        return self._interval(lambda weights: self._log(model, weights))
+
+    def ratio(self, model: int, before: int) -> tuple[float, float, float]:
+        """Of two models' errors, and its 90 % interval; paired by device."""
+        return self._interval(
+            lambda weights: self._log(model, weights) - self._log(before, weights)
+        )
+
+    def _log(self, model: int, weights: Array) -> Array:
+        """(b,) logarithms of the error with devices weighted by (b, d) weights."""
+        mean: Array = (weights @ self.squares[model]) / (weights @ self.counts)
+        logs: Array = 0.5 * np.log(np.maximum(mean, np.finfo(float).tiny))
+        return logs
+
+    def _interval(self, log: Callable[[Array], Array]) -> tuple[float, float, float]:
+        """A positive statistic and its interval, from its logarithm.
+
+        The percentile bootstrap over devices (Efron 1979), or with few devices the
+        jackknife with Student's quantile (Tukey 1958): of the logarithm, in which the
+        error is nearer to normal and stays above 0.
+        """
+        devices = len(self.counts)
+        whole = float(log(np.ones((1, devices)))[0])
+        if self.method == NONE:
+            return math.exp(whole), math.nan, math.nan
+        if self.method == BOOTSTRAP:
+            rng = np.random.default_rng(self.seed)
+            share = np.full(devices, 1 / devices)
+            drawn = log(rng.multinomial(devices, share, size=DRAWS).astype(float))
+            low, high = np.quantile(drawn, [TAIL, 1 - TAIL])
+            return math.exp(whole), math.exp(low), math.exp(high)
+        without = log(1.0 - np.eye(devices))
+        pseudo = devices * whole - (devices - 1) * without
+        half = float(stdtrit(devices - 1, 1 - TAIL) * pseudo.std(ddof=1))
+        half /= math.sqrt(devices)
+        ends = whole + np.clip([-half, half], -50, 50)  # what exp can hold
+        return math.exp(whole), math.exp(ends[0]), math.exp(ends[1])
+
+
+def shared(one: Fit) -> Array:
+    """(r,) whether a calibration is of several devices, as a batch's modulus is."""
+    columns, device = one.hypothesis.predict(one.t).columns, one.readings.device
+    return np.array(
+        [len(np.unique(device[np.abs(column) > 0])) > 1 for column in columns.T],
+        dtype=bool,
+    )
+
+
+def floor_interval(one: Fit, seed: int, draws: int = DRAWS) -> tuple[float, float]:
+    """Where the held-out error lies when nothing is missing, in 90 % of such sets.
+
+    Residuals are drawn as `rank.noise_floor` counts them: independent noise, smooth
+    errors along each curve, and the tolerances that a device has for itself.
+
+    Parameters
+    ----------
+    one : Fit
+        Of the hypothesis that is taken for true.
+    seed, draws : int
+    """
+    rng = np.random.default_rng(seed)
+    readings, n = one.readings, len(one.readings.value)
+    smooth = one.amplitude("smooth")
+    columns = one.hypothesis.predict(one.t).columns[:, ~shared(one)]
+    parts = [rng.standard_normal((draws, n))]
+    tolerance = rng.standard_normal((draws, columns.shape[1])) @ columns.T
+    parts.append(tolerance / one.noise)
+    bent = np.zeros((draws, n))
+    for curve in np.unique(readings.curve) if readings.correlated else ():
+        at = np.flatnonzero(readings.curve == curve)
+        kernel = smooth_kernel(readings.place[at]) + 1e-10 * np.eye(len(at))
+        amplitude = smooth.get(int(readings.group[at[0]]), 0.0) * readings.scale[at]
+        drawn = rng.standard_normal((draws, len(at))) @ np.linalg.cholesky(kernel).T
+        bent[:, at] = drawn * amplitude / one.noise[at]
+    errors = np.sqrt(((parts[0] + parts[1] + bent) ** 2).mean(axis=1))
+    low, high = np.quantile(errors, [TAIL, 1 - TAIL])
+    return float(low), float(high)
+
+
+def ladder(
+    models: Sequence[tuple[str, tuple[str, ...], Array]],
+    device: Array,
+    floor: float,
+    floor_ends: tuple[float, float],
+    seed: int = 0,
+) -> tuple[tuple[Rung, ...], str]:
+    """Rungs from held-out residuals, the noise floor last.
+
+    Parameters
+    ----------
+    models : sequence of (name, effects, (n,) residuals)
+        Residuals over one noise, which is the same for all.
+    device : (n,) array of int
+    floor : float
+    floor_ends : (float, float)
+    seed : int
+
+    Returns
+    -------
+    rungs : tuple of Rung
+    method : str
+        How their intervals were made.
+    """
+    judged = Judged.of([residuals for *_, residuals in models], device, seed)
+    rungs = []
+    for i, (name, effects, _) in enumerate(models):
+        ratio = judged.ratio(i, i - 1) if i else (math.nan,) * 3
+        rungs.append(Rung(name, effects, *judged.error(i), *ratio))
+    last = models[-1][1]
+    rungs.append(Rung(FLOOR, last, floor, *floor_ends))
+    return tuple(rungs), judged.method

@@ -1,0 +1,144 @@
+"""Answers with a model version: which one is meant, and what it predicts with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from datagen.device import Design
+
+from .answer import Answer, Predictor, fem_answer, surrogate_answer
+from .tasks import fem_version
+
+if TYPE_CHECKING:
+    from datagen.model import Model
+    from discrepancy.version import ModelVersion
+
+
+def chosen_version(model: str | None, workspace: Path | None) -> ModelVersion | None:
+    """The version that a request means; None for a model without adopted effects.
+
+    Parameters
+    ----------
+    model : str or None
+        Folder, name or id of a version, or the folder of an ensemble; without it what
+        is in use in the workspace.
+    workspace : Path or None
+        The default one where it is not given.
+
+    Raises
+    ------
+    FileError, InputError
+        When there is no such version, or it is damaged.
+    """
+    from discrepancy.layout import BASELINE, is_version
+    from discrepancy.workspace import Workspace, default_workspace, locate
+
+    if model is None:
+        entry = Workspace(workspace or default_workspace()).current()
+        return None if entry is None else entry.version
+    if model == BASELINE:
+        return None
+    folder = locate(model, workspace)
+    if not is_version(folder):
+        return None
+    from discrepancy.folder import read
+
+    return read(folder)
+
+
+def named_version(model: str | None, workspace: Path | None) -> ModelVersion | None:
+    """The version that a request names; None where it names none, or the baseline.
+
+    Raises
+    ------
+    FileError, InputError
+        When there is no such version, or it is damaged.
+    """
+    if model is None:
+        return None
+    from discrepancy.folder import read
+    from discrepancy.layout import BASELINE
+    from discrepancy.workspace import locate
+
+    return None if model == BASELINE else read(locate(model, workspace))
+
+
+@contextmanager
+def fem_model(
+    version: ModelVersion | None,
+    parameters: Mapping[str, Mapping[str, float]],
+    level: str,
+    effects_dir: Path | None,
+) -> Iterator[Model]:
+    """The finite elements with a version's effects and others, while in the block.
+
+    Parameters
+    ----------
+    version : ModelVersion or None
+    parameters : mapping of str to mapping of str to float, SI
+        Effects on top of the version's, or other values of these.
+    level : str
+    effects_dir : Path or None
+        Of the user's own effects.
+    """
+    from datagen.model import Model
+
+    if version is None:
+        yield Model(tuple(parameters), level, parameters, effects_dir)
+        return
+    from discrepancy.folder import effects_of
+
+    with effects_of(version, effects_dir) as own:
+        yield version.forward(level, parameters, own)
+
+
+def fem_name(level: str, version: ModelVersion | None) -> str:
+    """What makes the numbers of the finite elements, adopted effects included."""
+    name = fem_version(level)
+    return name if version is None else f"{name}+{version.version}"
+
+
+def surrogate_of(version: ModelVersion) -> Predictor | None:
+    """Its surrogate at the posterior means; None where none was trained."""
+    if version.surrogate is None:
+        return None
+    from surrogate.ensemble import Ensemble
+
+    return Ensemble.load(version.surrogate).with_parameters(version.parameters())
+
+
+def version_answer(
+    version: ModelVersion, design: Design, pressure: np.ndarray, level: str
+) -> Answer:
+    """What a version predicts: its surrogate in range, else the finite elements.
+
+    Parameters
+    ----------
+    version : ModelVersion
+    design : Design
+    pressure : (s,) array, Pa
+    level : str
+        Mesh of the finite elements.
+    """
+    surrogate = surrogate_of(version)
+    reasons: tuple[str, ...] = (
+        f"model version {version.version} has no surrogate yet",
+    )
+    if surrogate is not None:
+        check = surrogate.check(design, pressure)
+        if check.in_range:
+            return surrogate_answer(surrogate, design, pressure, check)
+        reasons = tuple(check.reasons)
+    return fem_answer(
+        version.forward(level),
+        fem_name(level, version),
+        design,
+        pressure,
+        False,
+        reasons,
+    )
