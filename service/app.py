@@ -23,10 +23,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from datagen.errors import EffectError, FileError, InputError, PbaError
 from datagen.units import DESIGN, PRESSURE
+from discrepancy.table import MeasurementError
 
 from .answer import Predictor, load_model
 from .bench import MISSING, Words, allowed, count_words, pressure_words
+from .discrepancy_routes import router as discrepancy_router
 from .jobs import JobNotFound, JobStore, Kind, TooManyJobs, describe
+from .measurements import MeasurementsNotFound
 from .routes import Service, router
 from .tasks import fem_version
 from .workers import WorkerDied
@@ -38,6 +41,8 @@ HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
     (InputError, 422),
     (EffectError, 422),
     (JobNotFound, 404),
+    (MeasurementsNotFound, 404),
+    (MeasurementError, 422),
     (TooManyJobs, 503),
     (WorkerDied, 500),
     (FileError, 500),
@@ -48,6 +53,8 @@ HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
 KINDS: Mapping[str, Kind] = {
     "predict": Kind("service.tasks:predict", max(1, (os.cpu_count() or 2) // 2)),
     "dataset": Kind("service.tasks:dataset"),
+    "compare": Kind("service.discrepancy_tasks:compare"),
+    "rank": Kind("service.discrepancy_tasks:rank"),
 }
 """Kinds of jobs.  Each has its own workers: a dataset of hours blocks no prediction."""
 
@@ -147,6 +154,7 @@ def create_app(
             chosen.state,
             chosen.wait,
             chosen.fem_version,
+            version(),
         )
         try:
             yield
@@ -166,6 +174,7 @@ def create_app(
         redoc_url=None,  # the schema itself is at /openapi.json
     )
     app.include_router(router)
+    app.include_router(discrepancy_router)
     _add_error_handlers(app)
     _add_page(app)
     app.add_middleware(BodyLimit)

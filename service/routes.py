@@ -52,7 +52,10 @@ FIRST_POLL, LAST_POLL = 0.03, 0.5
 
 @dataclass(frozen=True)
 class Service:
-    """What the endpoints share: one model, one job store, and settings."""
+    """What the endpoints share: one model, one job store, and settings.
+
+    `release` is the version of the package: results of jobs on measurements are its.
+    """
 
     model: Predictor
     model_name: str
@@ -60,6 +63,7 @@ class Service:
     state: Path
     wait: float
     fem_version: Callable[[str], str]
+    release: str = "source"
 
     def submit_predict(
         self, design: Design, pressure: np.ndarray, level: str, check: RangeCheck
@@ -95,12 +99,13 @@ def _service(request: Request) -> Service:
 Shared = Annotated[Service, Depends(_service)]
 
 
-def _errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
+def errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Statuses that a route may answer with an error's body."""
     return {status: {"model": ErrorOut} for status in statuses}
 
 
-BODY = _errors(400, 413)  # of any request with a body: no JSON, too long
-router = APIRouter(responses=_errors(422, 500))
+BODY = errors(400, 413)  # of any request with a body: no JSON, too long
+router = APIRouter(responses=errors(422, 500))
 
 
 @router.post(
@@ -108,7 +113,7 @@ router = APIRouter(responses=_errors(422, 500))
     response_model=PredictOut,
     responses={202: {"model": JobOut, "description": "Long work: a job"}}
     | BODY
-    | _errors(409, 503),
+    | errors(409, 503),
 )
 async def predict(body: PredictIn, service: Shared) -> Any:
     """What a device does at each pressure, from the surrogate where it was trained.
@@ -127,7 +132,7 @@ async def predict(body: PredictIn, service: Shared) -> Any:
     asked = body.model_dump(exclude_unset=True).get("wait_s", service.wait)
     job = await service.ended(job, asked)
     if job.status in OPEN:
-        return _accepted(job)
+        return accepted(job)
     if job.result is None:
         return _failed(job)
     return job.result
@@ -227,25 +232,34 @@ def effects() -> dict[str, Any]:
     return {"effects": plain(rows)}
 
 
+def known_effects(names: list[str]) -> None:
+    """Refuse names that the catalogue has not.
+
+    Raises
+    ------
+    InputError
+    """
+    from datagen.effects import catalogue
+
+    known = catalogue()
+    for name in names:
+        if name not in known:
+            raise InputError("effects", name, ", ".join(known))
+
+
 @router.post(
     "/v1/datasets",
     status_code=202,
     response_model=JobOut,
-    responses=BODY | _errors(503),
+    responses=BODY | errors(503),
 )
 def generate_dataset(body: DatasetIn, service: Shared) -> Response:
     """Generate a dataset as a job; its file is then at ``/v1/jobs/ID/file``."""
-    if body.effects:
-        from datagen.effects import catalogue
-
-        known = catalogue()
-        for name in body.effects:
-            if name not in known:
-                raise InputError("effects", name, ", ".join(known))
+    known_effects(body.effects)
     folder = service.state / "datasets"
     folder.mkdir(parents=True, exist_ok=True)
     payload = body.model_dump() | {"out": str(folder / f"{uuid.uuid4().hex}.h5")}
-    return _accepted(service.store.submit("dataset", payload))
+    return accepted(service.store.submit("dataset", payload))
 
 
 @router.get("/v1/jobs")
@@ -256,20 +270,20 @@ def jobs(
     return [_job(job) for job in service.store.latest(limit)]
 
 
-@router.get("/v1/jobs/{job_id}", responses=_errors(404))
+@router.get("/v1/jobs/{job_id}", responses=errors(404))
 def job(job_id: str, service: Shared) -> JobOut:
     """A job as it stands."""
     return _job(service.store.get(job_id))
 
 
-@router.delete("/v1/jobs/{job_id}", responses=_errors(404))
+@router.delete("/v1/jobs/{job_id}", responses=errors(404))
 def cancel(job_id: str, service: Shared) -> JobOut:
     """Cancel a job; one that has ended stays as it is."""
     return _job(service.store.cancel(job_id))
 
 
 @router.get(
-    "/v1/jobs/{job_id}/file", response_class=FileResponse, responses=_errors(404)
+    "/v1/jobs/{job_id}/file", response_class=FileResponse, responses=errors(404)
 )
 def job_file(job_id: str, service: Shared) -> FileResponse:
     """The file that a job has made."""
@@ -279,7 +293,7 @@ def job_file(job_id: str, service: Shared) -> FileResponse:
     path = Path(result["file"])
     if not path.is_file():
         raise FileError(path.name, "is no longer in the state folder")
-    return FileResponse(path, filename=f"{job_id}.h5")
+    return FileResponse(path, filename=f"{job_id}{path.suffix}")
 
 
 @router.post("/v1/figures/response", responses=BODY)
@@ -308,7 +322,8 @@ def _job(job: Job) -> JobOut:
     )
 
 
-def _accepted(job: Job) -> JSONResponse:
+def accepted(job: Job) -> JSONResponse:
+    """202, with the job and where it is."""
     return JSONResponse(
         _job(job).model_dump(), 202, headers={"Location": f"/v1/jobs/{job.id}"}
     )

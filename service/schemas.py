@@ -179,6 +179,59 @@ class DatasetIn(Strict):
     level: Level = "standard"
 
 
+class MeasuredIn(Strict):
+    """Measurements, and how they are to be judged."""
+
+    measurements: str = Field(
+        pattern=r"^[0-9a-f]{16}$", description="id that ``/v1/measurements`` answered"
+    )
+    level: Level = Field(default="standard", description="mesh of the baseline")
+    modulus_tolerance_pct: float = Field(
+        default=5.0, ge=0, le=50, description="std of each batch's modulus (%)"
+    )
+    thickness_tolerance_um: float = Field(
+        default=3.0, ge=0, le=100, description="std of each layer's thickness (um)"
+    )
+    camera_tolerance_pct: float = Field(
+        default=0.5, ge=0, le=20, description="std of the camera's scale (%)"
+    )
+    seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
+
+
+class RankingIn(MeasuredIn):
+    """Measurements, and the effects that may be missing."""
+
+    effects: list[str] = Field(
+        default=[], max_length=100, description="candidates; empty: the catalogue"
+    )
+
+
+class CurveOut(BaseModel):
+    """One run of one device, as it was read."""
+
+    device: str
+    run: int
+    specimen: str
+    orientation_deg: float
+    steps: int
+    readings: int
+    quantities: list[str]
+    timed: bool
+    branches: list[str]
+
+
+class MeasurementsOut(BaseModel):
+    """What is in a file of measurements."""
+
+    id: str
+    name: str
+    sha256: str
+    devices: list[str]
+    readings: int
+    curves: list[CurveOut]
+    warnings: list[str]
+
+
 Numbers = list[float | None]
 
 
@@ -265,6 +318,9 @@ class ErrorBody(BaseModel):
     message: str
     field: str | None = None
     allowed: str | None = None
+    problems: list[dict[str, Any]] | None = Field(
+        default=None, description="all lines of a measurement file that are not allowed"
+    )
 
 
 class ErrorOut(BaseModel):
@@ -282,7 +338,7 @@ class JobOut(BaseModel):
     submitted: str = Field(description="UTC, ISO 8601")
     progress: dict[str, Any]
     result: dict[str, Any] | None
-    error: dict[str, str] | None = Field(description="as in every error")
+    error: dict[str, Any] | None = Field(description="as in every error")
 
 
 class FigureIn(Strict):

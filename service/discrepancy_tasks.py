@@ -1,0 +1,73 @@
+"""Jobs on measurements: compare, rank, adopt; from JSON to JSON.
+
+A payload holds the file, its tolerances as in `discrepancy.measurement.Tolerances`, and
+what the command line's options of the same names say.  Solves are kept in the server's
+state folder: a job that was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .workers import Report
+
+if TYPE_CHECKING:
+    from discrepancy.measurement import Measurements
+    from discrepancy.solves import Progress, Solver
+
+
+@contextmanager
+def _solver(payload: Mapping[str, Any], report: Report) -> Iterator[Solver]:
+    from discrepancy.solves import Solver
+
+    from .discrepancy import cores
+
+    def update(now: Progress) -> None:
+        report({"what": now.what, "done": now.done, "total": now.total})
+
+    with Solver(cores(), Path(payload["cache"]), update) as solver:
+        yield solver
+
+
+def _measured(payload: Mapping[str, Any]) -> Measurements:
+    from discrepancy.measurement import Tolerances
+    from discrepancy.reading import read_measurements
+
+    return read_measurements(payload["file"], Tolerances(**payload["tolerances"]))
+
+
+def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """The object of ``pba compare --json``."""
+    from discrepancy.compare import compare as hold
+    from discrepancy.study import Study
+
+    from .comparison import comparison_json
+
+    level = payload["level"]
+    with _solver(payload, report) as solver:
+        study = Study(_measured(payload), solver, level=level, fast=level, effects=())
+        return comparison_json(hold(study), level)
+
+
+def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """The object of ``pba rank --json``; the report is the job's file."""
+    from datagen.atomic import replacing
+
+    from .ranked import ranked
+
+    with _solver(payload, report) as solver:
+        found = ranked(
+            _measured(payload),
+            solver,
+            level=payload["level"],
+            effects=payload["effects"],
+            seed=payload["seed"],
+        )
+    out = Path(payload["out"])
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(out) as temporary:
+        temporary.write_text(found.page, encoding="utf-8")
+    return found.to_json() | {"file": str(out)}
