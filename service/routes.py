@@ -7,7 +7,7 @@ import datetime
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +22,7 @@ from datagen.response import OUTPUTS
 from datagen.units import BY_FIELD
 
 from . import figures
-from .answer import COVERAGE, Predictor, RangeCheck, surrogate_answer
+from .answer import RangeCheck, surrogate_answer
 from .bench import (
     DEVICES,
     MAX_STEPS,
@@ -32,6 +32,7 @@ from .bench import (
     pressures_from_bench,
     rounded,
 )
+from .current import Serving, Switch
 from .jobs import OPEN, Job, JobNotFound, JobStore, payload_key
 from .schemas import (
     CheckIn,
@@ -52,13 +53,12 @@ FIRST_POLL, LAST_POLL = 0.03, 0.5
 
 @dataclass(frozen=True)
 class Service:
-    """What the endpoints share: one model, one job store, and settings.
+    """What the endpoints share: the model in use, one job store, and settings.
 
     `release` is the version of the package: results of jobs on measurements are its.
     """
 
-    model: Predictor
-    model_name: str
+    switch: Switch
     store: JobStore
     state: Path
     wait: float
@@ -66,7 +66,12 @@ class Service:
     release: str = "source"
 
     def submit_predict(
-        self, design: Design, pressure: np.ndarray, level: str, check: RangeCheck
+        self,
+        serving: Serving,
+        design: Design,
+        pressure: np.ndarray,
+        level: str,
+        check: RangeCheck,
     ) -> Job:
         """A finite-element prediction as a job; the same request is the same job."""
         payload = {
@@ -77,9 +82,11 @@ class Service:
             "reasons": list(check.reasons),
         }
         same = payload | {"design": design_columns(design)}
-        return self.store.submit(
-            "predict", payload, payload_key(same, self.fem_version(level))
-        )
+        versions = [self.fem_version(level)]
+        if serving.version is not None:
+            payload |= {"adopted": str(serving.version.folder)}
+            versions.append(serving.version.version)
+        return self.store.submit("predict", payload, payload_key(same, *versions))
 
     async def ended(self, job: Job, wait: float) -> Job:
         """The job after it has ended, or after `wait` seconds as it then stands."""
@@ -123,11 +130,13 @@ async def predict(body: PredictIn, service: Shared) -> Any:
     """
     design = body.design.design()
     pressure = pressures_from_bench(body.pressure_kPa)
-    check = service.model.check(design, pressure)
-    if body.source == "auto" and check.in_range:
-        return surrogate_answer(service.model, design, pressure, check).to_dict()
+    serving = service.switch.now()
+    check = serving.check(design, pressure)
+    if body.source == "auto" and check.in_range and serving.model is not None:
+        answer = surrogate_answer(serving.model, design, pressure, check)
+        return replace(answer, effects=serving.effects).to_dict()
     job = await run_in_threadpool(
-        service.submit_predict, design, pressure, body.level, check
+        service.submit_predict, serving, design, pressure, body.level, check
     )
     asked = body.model_dump(exclude_unset=True).get("wait_s", service.wait)
     job = await service.ended(job, asked)
@@ -142,7 +151,8 @@ async def predict(body: PredictIn, service: Shared) -> Any:
 async def check(body: CheckIn, service: Shared) -> CheckOut:
     """What a request means, and whether the surrogate would answer it."""
     design = body.design.design()
-    found = service.model.check(design, pressures_from_bench(body.pressure_kPa))
+    pressure = pressures_from_bench(body.pressure_kPa)
+    found = service.switch.now().check(design, pressure)
     return CheckOut(
         design=design_columns(design),
         tip_margin_mm=rounded(design.tip_margin / MM),
@@ -152,19 +162,6 @@ async def check(body: CheckIn, service: Shared) -> CheckOut:
         reasons=list(found.reasons),
         notes=list(found.notes),
     )
-
-
-@router.get("/v1/models")
-def models(service: Shared) -> dict[str, Any]:
-    """The surrogate that answers, and what is known of it."""
-    model = service.model
-    row = {
-        "name": service.model_name,
-        "version": model.version,
-        "coverage": COVERAGE,
-        "description": plain(model.description),
-    }
-    return {"models": [row]}
 
 
 @router.get("/v1/devices")
@@ -312,7 +309,7 @@ def device_figure(design: DesignIn) -> dict[str, Any]:
 @router.get("/healthz")
 def health(service: Shared) -> dict[str, Any]:
     """Whether the server answers, with what."""
-    return {"status": "ok", "model_version": service.model.version}
+    return {"status": "ok", "model_version": service.switch.now().model_version}
 
 
 def _job(job: Job) -> JobOut:

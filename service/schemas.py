@@ -206,6 +206,27 @@ class RankingIn(MeasuredIn):
     )
 
 
+ModelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+
+
+class AdoptionIn(MeasuredIn):
+    """Effects to be put into the model, fitted to measurements."""
+
+    effects: list[str] = Field(min_length=1, max_length=20)
+    model: ModelName = Field(description="name of the new version")
+    on: ModelName | None = Field(
+        default=None,
+        description="a version whose effects are kept and fitted together with these",
+    )
+    use: bool = Field(default=True, description="whether it answers from then on")
+
+
+class UseIn(Strict):
+    """Which model is to answer."""
+
+    model: ModelName = Field(description="name or id of a version, or baseline")
+
+
 class CurveOut(BaseModel):
     """One run of one device, as it was read."""
 
@@ -278,6 +299,9 @@ class PredictOut(BaseModel):
     in_range: bool = Field(description="whether the surrogate was trained for this")
     reasons: list[str] = Field(description="why not, one sentence each")
     notes: list[str] = Field(description="what else is worth knowing")
+    effects: list[str] = Field(
+        default=[], description="adopted effects that the model has in it"
+    )
     model_version: str
     status: str = Field(description="how the path ended")
     message: str = Field(description="where and why it stopped, if it did")

@@ -19,7 +19,10 @@ from tests.service.fakes import FakeSurrogate
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     state = tmp_path_factory.mktemp("state")
-    app = create_app(Settings(state, kinds=KINDS), lambda _folder: FakeSurrogate())
+    app = create_app(
+        Settings(state, workspace=state / "models", kinds=KINDS),
+        lambda _folder: FakeSurrogate(),
+    )
     with TestClient(app, raise_server_exceptions=False) as client:
         yield client
 
