@@ -117,7 +117,7 @@ def adopt(study: Study, effects: Sequence[str], seed: int = 0) -> Adoption:
     effects : sequence of str
         The order is that of the ladder.
     seed : int
-        Of posterior samples and of intervals.
+        Of the samples.
 
     Raises
     ------
@@ -140,19 +140,19 @@ def adopt(study: Study, effects: Sequence[str], seed: int = 0) -> Adoption:
     ]
     nothing = fit(study.readings, study.null(), seed=seed)
     noise = whole.noise  # one unit for all rungs, where it is inferred too
-    models: list[tuple[str, tuple[str, ...], Array]] = [
-        (BASELINE, (), (study.readings.value - study.base) / noise),
-        (RECALIBRATED, (), _left_out(nothing, noise)),
+    models: list[tuple[str, tuple[str, ...], Array, float]] = [
+        (BASELINE, (), (study.readings.value - study.base) / noise, math.nan),
+        (RECALIBRATED, (), _left_out(nothing, noise), nothing.log_evidence),
     ]
     for count, one in enumerate([*steps, whole], start=1):
         chosen = tuple(effects[:count])
-        models.append((f"+ {chosen[-1]}", chosen, _left_out(one, noise)))
+        errors = _left_out(one, noise)
+        models.append((f"+ {chosen[-1]}", chosen, errors, one.log_evidence))
     rungs, method = ladder(
         models,
         study.readings.device,
         noise_floor(whole),
         floor_interval(whole, seed),
-        seed,
     )
     names = tuple(sorted(effects))
     priors = whole.hypothesis.priors
@@ -221,12 +221,19 @@ def _judgement(rungs: Sequence[Rung]) -> list[str]:
             f"{recalibrated.ratio:.2f} times larger: moduli stand in for something else"
         )
     for rung in rungs[2:-1]:
+        name = rung.name.removeprefix("+ ")
         if not rung.helps:
             how = "raises" if rung.ratio_low > 1 else "does not clearly lower"
             lines.append(
-                f"{rung.name.removeprefix('+ ')} {how} the error on left-out devices: "
-                f"{rung.ratio:.3g} times that of the rung before (90 % interval "
-                f"{rung.ratio_low:.3g} to {rung.ratio_high:.3g})"
+                f"{name} {how} the error on left-out devices: {rung.ratio:.2f} times "
+                f"that of the rung before (90 % interval {rung.ratio_low:.2f} to "
+                f"{rung.ratio_high:.2f})"
+            )
+        if rung.log_bayes < 0:
+            odds = math.exp(min(-rung.log_bayes, 700.0))  # what exp can hold
+            lines.append(
+                f"{name} is not needed: the readings are {odds:.2g} times as probable "
+                "without it"
             )
     if last.heldout_error > floor.high:
         lines.append(

@@ -8,7 +8,7 @@ from html import escape
 from .adopt import Adoption, emulation_error
 from .adopt_figures import before_after, ladder_figure
 from .figures import Figure
-from .ladder import BOOTSTRAP, JACKKNIFE, Rung
+from .ladder import Rung
 from .page import (
     count,
     document,
@@ -28,11 +28,6 @@ SHOWN = 5
 """Measurements that are proposed."""
 
 NONE = "\u2013"
-
-_HOW = {
-    BOOTSTRAP: "devices drawn anew (bootstrap)",
-    JACKKNIFE: "devices left out one at a time (jackknife): there are fewer than 4",
-}
 
 
 def adopt_report(
@@ -118,11 +113,10 @@ def _ladder(made: Adoption, drawn: list[Figure]) -> Iterator[str]:
         ],
         numbers=(1, 2, 3),
     )
-    how = _HOW.get(made.interval, "not known from one device")
     yield paragraph(
         "Root mean square of what is left on devices that took no part in the fit, in "
-        f"units of the noise. Intervals over devices: {how}. That of the noise floor "
-        "is where a right model errs in 90 % of sets of such devices.",
+        "units of the noise; its interval is over devices (jackknife). That of the "
+        "noise floor is where a right model errs in 90 % of sets of such devices.",
         "muted",
     )
     yield figure(

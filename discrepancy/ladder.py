@@ -2,8 +2,12 @@
 
 A rung's error is the root mean square of residuals over the noise, each device judged
 by a fit that did not see it.  Devices are what is drawn anew, not readings: readings of
-one device share its thicknesses and its camera.  All rungs are compared on the same
-draws, so that what devices have in common does not blur the step from one to the next.
+one device share its thicknesses and its camera.  A rung is compared with the one before
+device by device, so that what makes a device hard for both does not blur the step.
+
+Intervals are the jackknife's with Student's quantile, of the error's logarithm.  With
+a few devices a bootstrap is far too narrow: in made-up sets of 4 and 6 devices its 90 %
+intervals held the true error in 70 and 76 %, the jackknife's in 89 and 88 %.
 """
 
 from __future__ import annotations
@@ -25,16 +29,13 @@ Array = np.ndarray
 BASELINE, RECALIBRATED, FLOOR = "baseline", "recalibrated", "noise floor"
 """Names of the rungs that have no effect of their own."""
 
-FEW = 4
-"""Devices below which a bootstrap has too few different draws: 10 of three."""
-
 DRAWS = 4000
-"""Bootstrap draws, and made-up sets of residuals behind the floor's interval."""
+"""Made-up sets of residuals behind the floor's interval."""
 
 TAIL = 0.05
 """Probability beyond each end of an interval."""
 
-BOOTSTRAP, JACKKNIFE, NONE = "bootstrap", "jackknife", "none"
+JACKKNIFE, NONE = "jackknife", "none"
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,9 @@ class Rung:
     ratio, ratio_low, ratio_high : float
         Of the error to that of the rung before, with its interval; NaN where there is
         none to compare with.
+    log_bayes : float
+        Log Bayes factor against the rung before: below 0 the readings are more probable
+        without what this rung adds.  NaN where nothing was integrated.
 
     Raises
     ------
@@ -70,6 +74,7 @@ class Rung:
     ratio: float = math.nan
     ratio_low: float = math.nan
     ratio_high: float = math.nan
+    log_bayes: float = math.nan
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -97,28 +102,23 @@ class Judged:
         Sums of squared residuals of each model and device.
     counts : (d,) array
         Readings of each device.
-    seed : int
     """
 
     squares: Array
     counts: Array
-    seed: int = 0
 
     @classmethod
-    def of(cls, residuals: Sequence[Array], device: Array, seed: int = 0) -> Judged:
+    def of(cls, residuals: Sequence[Array], device: Array) -> Judged:
         """From residuals (n,) of each model, and the device (n,) of each reading."""
         devices = np.unique(device)
         squares = [[(r[device == d] ** 2).sum() for d in devices] for r in residuals]
         counts = [int((device == d).sum()) for d in devices]
-        return cls(np.array(squares), np.array(counts, dtype=float), seed)
+        return cls(np.array(squares), np.array(counts, dtype=float))
 
     @property
     def method(self) -> str:
-        """How intervals are made: `BOOTSTRAP`, `JACKKNIFE`, `NONE` for one device."""
-        devices = len(self.counts)
-        if devices < 2:
-            return NONE
-        return JACKKNIFE if devices < FEW else BOOTSTRAP
+        """How intervals are made: `JACKKNIFE`, or `NONE` with one device."""
+        return JACKKNIFE if len(self.counts) > 1 else NONE
 
     def error(self, model: int) -> tuple[float, float, float]:
         """Root mean square of a model's residuals, and its 90 % interval."""
@@ -137,28 +137,19 @@ class Judged:
         return logs
 
     def _interval(self, log: Callable[[Array], Array]) -> tuple[float, float, float]:
-        """A positive statistic and its interval, from its logarithm.
+        """A positive statistic and its interval, from its logarithm (Tukey 1958).
 
-        The percentile bootstrap over devices (Efron 1979), or with few devices the
-        jackknife with Student's quantile (Tukey 1958): of the logarithm, in which the
-        error is nearer to normal and stays above 0.
+        The logarithm is nearer to normal than the error, and the error stays above 0.
         """
         devices = len(self.counts)
         whole = float(log(np.ones((1, devices)))[0])
         if self.method == NONE:
             return math.exp(whole), math.nan, math.nan
-        if self.method == BOOTSTRAP:
-            rng = np.random.default_rng(self.seed)
-            share = np.full(devices, 1 / devices)
-            drawn = log(rng.multinomial(devices, share, size=DRAWS).astype(float))
-            low, high = np.quantile(drawn, [TAIL, 1 - TAIL])
-            return math.exp(whole), math.exp(low), math.exp(high)
         without = log(1.0 - np.eye(devices))
         pseudo = devices * whole - (devices - 1) * without
         half = float(stdtrit(devices - 1, 1 - TAIL) * pseudo.std(ddof=1))
-        half /= math.sqrt(devices)
-        ends = whole + np.clip([-half, half], -50, 50)  # what exp can hold
-        return math.exp(whole), math.exp(ends[0]), math.exp(ends[1])
+        half = min(half / math.sqrt(devices), 50.0)  # what exp can hold
+        return math.exp(whole), math.exp(whole - half), math.exp(whole + half)
 
 
 def shared(one: Fit) -> Array:
@@ -202,22 +193,21 @@ def floor_interval(one: Fit, seed: int, draws: int = DRAWS) -> tuple[float, floa
 
 
 def ladder(
-    models: Sequence[tuple[str, tuple[str, ...], Array]],
+    models: Sequence[tuple[str, tuple[str, ...], Array, float]],
     device: Array,
     floor: float,
     floor_ends: tuple[float, float],
-    seed: int = 0,
 ) -> tuple[tuple[Rung, ...], str]:
     """Rungs from held-out residuals, the noise floor last.
 
     Parameters
     ----------
-    models : sequence of (name, effects, (n,) residuals)
-        Residuals over one noise, which is the same for all.
+    models : sequence of (name, effects, (n,) residuals, log evidence)
+        Residuals over one noise, which is the same for all; an evidence that was not
+        integrated is NaN.
     device : (n,) array of int
     floor : float
     floor_ends : (float, float)
-    seed : int
 
     Returns
     -------
@@ -225,11 +215,12 @@ def ladder(
     method : str
         How their intervals were made.
     """
-    judged = Judged.of([residuals for *_, residuals in models], device, seed)
+    judged = Judged.of([model[2] for model in models], device)
     rungs = []
-    for i, (name, effects, _) in enumerate(models):
+    for i, (name, effects, _, evidence) in enumerate(models):
         ratio = judged.ratio(i, i - 1) if i else (math.nan,) * 3
-        rungs.append(Rung(name, effects, *judged.error(i), *ratio))
+        bayes = evidence - models[i - 1][3] if i else math.nan
+        rungs.append(Rung(name, effects, *judged.error(i), *ratio, bayes))
     last = models[-1][1]
     rungs.append(Rung(FLOOR, last, floor, *floor_ends))
     return tuple(rungs), judged.method

@@ -401,6 +401,7 @@ def rung_json(one: Rung) -> dict[str, Any]:
         "ratio",
         "ratio_low",
         "ratio_high",
+        "log_bayes",
     ):
         value = getattr(one, name)
         data[name] = value if math.isfinite(value) else None

@@ -139,11 +139,10 @@ def adopt(
         place_json = {"workspace": str(home.folder) if home else None, "in_use": in_use}
         print_json(data | place_json | {"warnings": warnings})
         return
-    from .adoption import INTERVALS, ladder_table, named, size_lines
+    from .adoption import ladder_table, named, size_lines
 
     print("Error on devices that took no part in the fit, in noise:\n")
     print_rich(ladder_table(made.ladder))
-    print(f"\n{INTERVALS.get(made.interval, '')}".rstrip())
     print()
     for line in size_lines(made):
         print(line)

@@ -13,19 +13,13 @@ from rich.table import Table
 from datagen.specimens import Tensile
 from discrepancy.adopt import Adoption, emulation_error
 from discrepancy.columns import NUMBERS
-from discrepancy.ladder import BOOTSTRAP, JACKKNIFE, Rung
+from discrepancy.ladder import Rung
 from discrepancy.layout import BASELINE
 from discrepancy.rank import Candidate
 from discrepancy.version import Estimate, ModelVersion, rung_json
 from discrepancy.words import BENCH, decimals, sizes
 
 from .comparison import load_of, number, numbers
-
-INTERVALS = {
-    BOOTSTRAP: "90 % intervals: devices drawn anew (bootstrap).",
-    JACKKNIFE: "90 % intervals: devices left out one at a time (jackknife), as there "
-    "are fewer than 4.",
-}
 
 
 def adoption_json(made: Adoption, version: ModelVersion) -> dict[str, Any]:

@@ -88,7 +88,7 @@ def version(difference: float = -0.0005, **changes: Any) -> ModelVersion:
             Rung("+ cure_mismatch", ("cure_mismatch",), 1.5, 1.2, 1.8, 0.17, 0.1, 0.2),
             Rung(FLOOR, ("cure_mismatch",), 1.4, 1.1, 1.7),
         ),
-        interval="bootstrap",
+        interval="jackknife",
         sources={"cure_mismatch": source},
         own={},
         warnings=("the <lamp> was on",),
