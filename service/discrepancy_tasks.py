@@ -54,8 +54,6 @@ def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
 def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     """The object of ``pba rank --json``; the report is the job's file."""
-    from datagen.atomic import replacing
-
     from .ranked import ranked
 
     with _solver(payload, report) as solver:
@@ -66,8 +64,38 @@ def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
             effects=payload["effects"],
             seed=payload["seed"],
         )
+    return found.to_json() | {"file": _kept(payload, found.page)}
+
+
+def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """The object of ``pba adopt --json``; the report is the job's file.
+
+    A job that was killed after it had written its version finds it there and ends.
+    """
+    from .adopted import adopted
+
+    found = adopted(
+        payload["effects"],
+        [_measured(payload)],
+        _solver(payload, report),
+        out=payload["model"],
+        on=payload["on"],
+        workspace=Path(payload["workspace"]),
+        level=payload["level"],
+        use=payload["use"],
+        report=True,
+        seed=payload["seed"],
+        again=True,
+    )
+    return found.to_json() | {"file": _kept(payload, found.page)}
+
+
+def _kept(payload: Mapping[str, Any], page: str) -> str:
+    """Write a report to where the payload says; the path."""
+    from datagen.atomic import replacing
+
     out = Path(payload["out"])
     out.parent.mkdir(parents=True, exist_ok=True)
     with replacing(out) as temporary:
-        temporary.write_text(found.page, encoding="utf-8")
-    return found.to_json() | {"file": str(out)}
+        temporary.write_text(page, encoding="utf-8")
+    return str(out)

@@ -53,7 +53,8 @@ def model(name: str, service: Shared) -> dict[str, Any]:
     found = service.switch.workspace.find(name)
     assert found.version is not None  # find refuses what cannot be read
     in_use = found.name == service.switch.now().name
-    return {"name": found.name, "in_use": in_use} | plain(version_json(found.version))
+    about: dict[str, Any] = plain(version_json(found.version))
+    return {"name": found.name, "in_use": in_use} | about
 
 
 @router.put("/v1/models/current", responses=BODY)
