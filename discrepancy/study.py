@@ -298,7 +298,7 @@ class Study:
         return [one if np.isfinite(one.values).all() else None for one in found]
 
     def tangents(self, names: Sequence[str]) -> list[str]:
-        """Differentiate by all effects where they are off, one solve for each curve.
+        """Differentiate by all effects where they are off, a solve or two a curve.
 
         Parameters
         ----------
@@ -307,20 +307,33 @@ class Study:
         Returns
         -------
         list of str
-            Effects that have such derivatives; those with a memory have another path,
-            and some change what is held or meshed at once.
+            Effects that have such derivatives; some change what is held or meshed as
+            soon as they are there.
         """
-        smooth = tuple(name for name in names if self.paths.traits.smooth(name))
+        traits = self.paths.traits
+        smooth = tuple(name for name in names if traits.smooth(name))
         off = {name: tuple(p.off for p in self.priors((name,))) for name in smooth}
-        wanted = tuple(n for n in smooth if ((n,), off[n]) not in self._nodes)
-        if wanted:
-            at = [t for name in wanted for t in off[name]]
-            tasks = [
-                self.paths.task(c, self.fast, wanted, at) for c in self.paths.curves
+        wanted = [n for n in smooth if ((n,), off[n]) not in self._nodes]
+        groups = [  # those with a memory have another path
+            tuple(n for n in wanted if traits.remembers(n) == remembers)
+            for remembers in (False, True)
+        ]
+        tasks = {
+            group: [
+                self.paths.task(
+                    c, self.fast, group, [t for name in group for t in off[name]]
+                )
+                for c in self.paths.curves
             ]
-            answers = self.solver.all(tasks, "all effects at once")
-            solved = [answers[task] for task in tasks]
-            for name in wanted:
+            for group in groups
+            if group
+        }
+        answers = self.solver.all(
+            [task for some in tasks.values() for task in some], "all effects at once"
+        )
+        for group, some in tasks.items():
+            solved = [answers[task] for task in some]
+            for name in group:
                 node = self._node((name,), np.array(off[name]), solved)
                 self._nodes[(name,), off[name]] = replace(
                     self._nodes[(), ()], slopes=node.slopes

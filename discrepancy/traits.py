@@ -84,13 +84,12 @@ class Traits:
         """Whether there are derivatives where the effect is off.
 
         There are none for an effect that frees what was held, or meshes anew, as soon
-        as it is there; and one with a memory has a path of its own.
+        as it is there.
         """
         problem, rest = self._problem(name), self._problem(None)
         return (
             problem is not None
             and rest is not None
-            and not self.remembers(name)
             and all(p.off is not None for p in self.known[name].parameters)
             and problem.nodes.shape == rest.nodes.shape
             and bool((problem.fixed == rest.fixed).all())
