@@ -117,6 +117,9 @@ def test_the_floor_is_where_a_right_model_errs() -> None:
         error = math.sqrt(float(np.mean(left_out(one) ** 2)))
         inside += low < error < high
     assert 0.78 <= inside / sets <= 0.99
+    bent, _ = devices(rng, 6, calibrated=False)  # smooth errors alone
+    low, high = floor_interval(bent, 0)
+    assert 1.5 < low < noise_floor(bent) < high
 
 
 def test_rungs_check_themselves() -> None:
@@ -160,6 +163,9 @@ def test_the_error_falls_on_devices_that_were_left_out() -> None:
     assert with_it.ratio == pytest.approx(
         with_it.heldout_error / recalibrated.heldout_error
     )
+    for rung, one in ((recalibrated, made.baseline), (with_it, made.fit)):
+        wanted = math.sqrt(float(np.mean(left_out(one) ** 2)))
+        assert rung.heldout_error == pytest.approx(wanted)
     # A device that is left out leaves no mark on what predicts it.
     whole = made.fit
     value = whole.readings.value.copy()
