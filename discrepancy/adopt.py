@@ -25,6 +25,7 @@ from .ladder import BASELINE, RECALIBRATED, Rung, floor_interval, ladder
 from .measurement import Measurements
 from .rank import Candidate, Search, left_out, noise_floor
 from .study import Study
+from .words import BEYOND
 
 Array = np.ndarray
 
@@ -249,7 +250,7 @@ def _doubts(made: Adoption) -> list[str]:
         f"{name}: {one['value']:.4g} {one['unit']} is at the end of its range, "
         f"{one['range'][0]:g} to {one['range'][1]:g}: hardly plausible"
         for name, one in made.parameters.items()
-        if not one["plausible"]
+        if one["plausibility"] == BEYOND
     ]
     lost = int((~np.isfinite(made.corrected)).sum())
     if lost:

@@ -8,24 +8,27 @@ from typing import Any
 
 from .experiment import Proposal
 from .rank import Candidate, Ranking
-from .words import verdict
-
-AT_THE_END = 0.05
-"""Share of a range at its end in which a fitted value counts as hardly plausible."""
+from .words import sizes, verdict
 
 
 def parameters_of(one: Candidate) -> dict[str, dict[str, Any]]:
-    """Fitted parameters by name; ``effect.parameter`` where several effects act."""
+    """Fitted parameters by name; ``effect.parameter`` where several effects act.
+
+    Numbers are SI; `plausibility` is the literature range's, as `words.sizes` has it.
+    """
     fit = one.fit
     rows = zip(
-        fit.hypothesis.priors, fit.mean(), fit.std(), fit.interval(), strict=True
+        fit.hypothesis.priors,
+        fit.mean(),
+        fit.std(),
+        fit.interval(),
+        sizes(one),
+        strict=True,
     )
     found = {}
-    for prior, mean, std, (low, high) in rows:
+    for prior, mean, std, (low, high), size in rows:
         p = prior.parameter
         name = p.name if len(one.effects) > 1 else p.name.split(".", 1)[1]
-        edge = AT_THE_END * (p.upper - p.lower)
-        ends = [end for end in (p.lower, p.upper) if end != p.off]
         found[name] = {
             "value": float(mean),
             "std": float(std),
@@ -33,7 +36,7 @@ def parameters_of(one: Candidate) -> dict[str, dict[str, Any]]:
             "low": float(low),
             "high": float(high),
             "range": [float(p.lower), float(p.upper)],
-            "plausible": all(abs(mean - end) > edge for end in ends),
+            "plausibility": size.plausibility,
             "source": p.source,
         }
     return found

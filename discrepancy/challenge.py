@@ -41,9 +41,9 @@ from .measurement import (
     Measurements,
     Tolerances,
 )
+from .paths import CONDITIONS
 from .prior import Prior
 from .sealed import NAMED, NONE, UNNAMED, Planted, Truth
-from .study import CONDITIONS
 from .unnamed import UNNAMED as PRIVATE
 
 Array = np.ndarray

@@ -102,6 +102,14 @@ class Emulator:
         slopes: Array = (rows @ self._weights).T
         return slopes
 
+    def changes(self) -> Array:
+        """(n,) largest changes that are known: at nodes, or by the first one's slopes
+        over the whole range."""
+        solved = np.abs(self.values - self.values[0]).max(axis=0)
+        ahead = (np.abs(np.nan_to_num(self.slopes[0])) * self.span).max(axis=1)
+        changes: Array = np.maximum(solved, ahead)
+        return changes
+
     def distance(self, t: Array) -> float:
         """From coordinates (k,) to the nearest node, in ranges."""
         return float(np.abs((self.nodes - t) / self.span).max(axis=1).min())

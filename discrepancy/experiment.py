@@ -179,8 +179,8 @@ def _telling(study: Study, names: Sequence[str]) -> Curve:
     for name in names:
         present = study.present(name.split("+"))
         if present is not None:
-            change = present.curves.values - present.curves.values[0]
-            spread = np.maximum(spread, np.abs(change / readings.noise).max(axis=0))
+            change = present.curves.changes() / readings.noise
+            spread = np.maximum(spread, change)
     curves = study.measurements.curves
     score = {
         c: spread[[i for i, cell in enumerate(study.cells) if cell[0] == c]].max()

@@ -37,7 +37,7 @@ from .evidence import Fit
 from .measurement import UNLOADING
 from .rank import Candidate, Ranking
 from .study import Study
-from .words import in_words, load_axis, log_odds, percent, quantity_axis, sizes, ties
+from .words import in_words, load_axis, log_odds, percent, quantity_axis, sizes
 
 Array = np.ndarray
 Figure = dict[str, Any]
@@ -409,10 +409,7 @@ def ranking_bars(ranking: Ranking) -> Figure:
     shown = [
         one
         for i, one in enumerate(ranking.candidates)
-        if one.name == "nothing"
-        or ties(ranking, one)
-        or i < 3
-        or one.probability > LEAST
+        if one.name == "nothing" or one.tied_with or i < 3 or one.probability > LEAST
     ][:SHOWN]
     hover = []
     for one in shown:
@@ -426,7 +423,7 @@ def ranking_bars(ranking: Ranking) -> Figure:
         ]
         if math.isfinite(one.heldout_error):
             lines.append(f"held-out error {one.heldout_error:.2f} noise std")
-        tied = ties(ranking, one)
+        tied = one.tied_with
         if tied:
             others = ", ".join(in_words(name) for name in tied)
             lines.append(plain(f"tied with {others}"))
@@ -437,7 +434,7 @@ def ranking_bars(ranking: Ranking) -> Figure:
         "x": [100 * one.probability for one in shown],
         "y": list(range(len(shown))),
         "text": [
-            percent(one.probability) + (" (tied)" if ties(ranking, one) else "")
+            percent(one.probability) + (" (tied)" if one.tied_with else "")
             for one in shown
         ],
         "textposition": "outside",
@@ -447,7 +444,7 @@ def ranking_bars(ranking: Ranking) -> Figure:
         "marker": {
             "color": [_bar_colour(ranking, one) for one in shown],
             "pattern": {
-                "shape": ["/" if ties(ranking, one) else "" for one in shown],
+                "shape": ["/" if one.tied_with else "" for one in shown],
                 "fgcolor": PAPER,
                 "size": 7,
                 "solidity": 0.25,

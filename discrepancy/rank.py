@@ -1,9 +1,11 @@
 """Which effect is missing: fit every candidate, weigh them, and say what can be said.
 
-The order of work: the baseline and one solve of each candidate along each of its
-parameters; fits with the interpolated curves; more solves where a contender's best fit
-lies away from what has been solved; pairs of the best with every other; probabilities;
-ties, held-out devices and the verdict.
+The order of work: derivatives by all effects where they are off, from one solve of each
+curve; a solve along each parameter of effects that have none or turn away from theirs;
+fits with the
+interpolated curves; solves at the best fits of contenders until their curves are known
+there; pairs of the best with every other; probabilities; ties, held-out devices and the
+verdict.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import numpy as np
 from .evidence import Fit, Hypothesis, fit
 from .hypotheses import Null, Present
 from .study import Study
-from .weighing import nearest, probabilities, sound, weigh
+from .weighing import HOPELESS, nearest, probabilities, sound, weigh
 
 Array = np.ndarray
 
@@ -32,11 +34,19 @@ SAME_FIT = 4.0
 """Chi-square by which a tied hypothesis may fit worse: odds that come from the widths
 of priors alone do not name a hypothesis."""
 
-CONTENDER = 12.0
-"""Log evidence behind the best at which a candidate is still refined."""
-
 CURVED = 0.5
 """Departure from the nearest solve's tangent, in noise, that asks for another solve."""
+
+STRAIGHT = 1.0
+"""Largest change, in noise, at which the tangent where an effect is off will do."""
+
+BENT = 0.25
+"""Departure of an effect from its tangent (`Study.bends`) at which the tangent says
+little of what larger sizes do to other devices."""
+
+SHARE = 0.5
+"""Part of the misfit that the best tangent takes away which another has to take away
+to be solved: signatures turn with size, but not to something else."""
 
 UNSEEN = 0.1
 """Largest change, in noise, of an effect that the readings cannot show."""
@@ -44,7 +54,7 @@ UNSEEN = 0.1
 GAIN = 6.0
 """Chi-square that a second effect has to take away for a pair to be weighed."""
 
-ROUNDS, JOINT_ROUNDS, QUICK_ROUNDS = 3, 2, 10
+ROUNDS, JOINT_ROUNDS, QUICK_ROUNDS = 4, 2, 10
 """Refinements of a contender, of a pair, and of either where solves cost nothing."""
 
 PARTNERS, PAIRS = 3, 4
@@ -67,7 +77,8 @@ class Candidate:
         Root mean square of residuals on devices that were left out, over the noise;
         NaN where it was not computed.
     tied_with : tuple of str
-        Names of the hypotheses that these readings do not tell from it.
+        Under the verdict ``tied``: the hypotheses that these readings do not tell
+        from it.  Under others candidates are alike because none of them is needed.
     """
 
     fit: Fit
@@ -142,15 +153,12 @@ class Search:
     study : Study
     seed : int
         Of the samples behind the evidence.
-    solves : bool
-        Whether to solve at all; False ranks with what the study has.
     details : bool
         Whether to hold devices out and draw the confusion matrix.
     """
 
     study: Study
     seed: int = 0
-    solves: bool = True
     details: bool = True
     unjudged: dict[str, str] = field(default_factory=dict)
 
@@ -174,8 +182,11 @@ class Search:
             if why:
                 self.unjudged[name] = why
         names = [name for name in among if name not in self.unjudged]
-        if self.solves:
-            self._solve_first(names)
+        straight = []
+        if not study.quick:
+            bends = study.bends(study.tangents(names))
+            straight = [name for name, bend in bends.items() if bend < BENT]
+        self._solve_first([name for name in names if name not in straight])
         return [name for name in names if self._shown(name)]
 
     def _solve_first(self, names: Sequence[str]) -> None:
@@ -199,8 +210,8 @@ class Search:
         if present is None:
             self.unjudged[name] = "its paths end before the measured pressures"
             return False
-        moved = present.curves.values - present.curves.values[0]
-        seen = float(np.abs(moved / self.study.readings.noise).max()) >= UNSEEN
+        moved = present.curves.changes() / self.study.readings.noise
+        seen = float(moved.max()) >= UNSEEN
         if not seen:
             self.unjudged[name] = (
                 "it moves no reading by a tenth of the noise along these paths"
@@ -214,32 +225,51 @@ class Search:
         hypotheses += [one for one in present if one is not None]
         return weigh(study.readings, hypotheses, self.seed)
 
-    def refine(self, fits: list[Fit]) -> list[Fit]:
+    def refine(
+        self, fits: list[Fit], what: str = "the contenders", rounds: int = ROUNDS
+    ) -> list[Fit]:
         """Solve contenders at their best fits until their curves are known there."""
-        rounds = QUICK_ROUNDS if self.study.quick else ROUNDS
-        for _ in range(rounds if self.solves else 0):
-            best = max(one.log_evidence for one in fits)
+        rounds = QUICK_ROUNDS if self.study.quick else rounds
+        for _ in range(rounds):
             wanted = [
                 one
-                for one in fits
-                if isinstance(one.hypothesis, Present)
-                and one.log_evidence > best - CONTENDER
-                and self._curved(one.hypothesis, one.t)
+                for one, present in self._contenders(fits)
+                if self._curved(present, one.t)
             ]
             if not wanted:
                 break
-            found = self.study.solve(
-                [(_effects(one), one.t) for one in wanted], "the contenders"
-            )
-            lost = [one for one, node in zip(wanted, found, strict=True) if not node]
+            found = self.study.solve([(_effects(one), one.t) for one in wanted], what)
+            lost = [
+                one for one, node in zip(wanted, found, strict=True) if node is None
+            ]
             if lost:  # half way to where a path ended early
                 self.study.solve(
-                    [(_effects(one), self._half_way(one)) for one in lost],
-                    "the contenders",
+                    [(_effects(one), self._half_way(one)) for one in lost], what
                 )
             fresh = {one.hypothesis.name: self._again(one) for one in wanted}
             fits = [fresh.get(one.hypothesis.name, one) for one in fits]
         return fits
+
+    @staticmethod
+    def _contenders(fits: Sequence[Fit]) -> list[tuple[Fit, Present]]:
+        """Effects that are near the best, or may be once they are solved."""
+        best = max((one.log_evidence for one in fits), default=0.0)
+        least = min((one.misfit for one in fits), default=0.0)
+        nothing = next(
+            (one.misfit for one in fits if one.hypothesis.name == "nothing"), least
+        )
+        return [
+            (one, one.hypothesis)
+            for one in fits
+            if isinstance(one.hypothesis, Present)
+            and (
+                one.log_evidence > best - HOPELESS
+                or (
+                    len(one.hypothesis.nodes) == 1
+                    and nothing - one.misfit > SHARE * (nothing - least)
+                )
+            )
+        ]
 
     @staticmethod
     def _half_way(one: Fit) -> Array:
@@ -255,6 +285,9 @@ class Search:
         curves = hypothesis.curves
         if curves.distance(t) < 1e-3:
             return False
+        if len(curves.nodes) == 1:  # a tangent, which knows nothing of its bend
+            moved = curves.many(t[None, :])[0] - curves.values[0]
+            return bool(np.abs(moved / self.study.readings.noise).max() > STRAIGHT)
         gap = np.abs((curves.nodes - t) / curves.span).max(axis=1)
         at = int(np.argmin(gap))
         slopes = np.nan_to_num(curves.slopes[at])
@@ -316,17 +349,7 @@ class Search:
         ]
         promising = [one for one in weighed if one.log_evidence > best + 1.0]
         promising.sort(key=lambda one: -one.log_evidence)
-        promising = promising[:PAIRS]
-        rounds = QUICK_ROUNDS if study.quick else JOINT_ROUNDS
-        for _ in range(rounds if self.solves else 0):
-            found = study.solve(
-                [(_effects(one), one.t) for one in promising], "pairs of effects"
-            )
-            promising = [
-                one if node is None else self._again(one)
-                for one, node in zip(promising, found, strict=True)
-            ]
-        return promising
+        return self.refine(promising[:PAIRS], "pairs of effects", JOINT_ROUNDS)
 
     @staticmethod
     def _joined(present: Present, known: dict[str, Fit]) -> Array:
@@ -384,18 +407,19 @@ def judge(
     ranked = [Candidate(whole[i], float(shares[i])) for i in order]
 
     ties = tied(ranked)
-    ranked = [
-        replace(one, tied_with=tuple(n for n in ties if n != one.name))
-        if one.name in ties
-        else one
-        for one in ranked
-    ]
+    verdict, effects = _verdict(ranked, ties)
+    if verdict == "tied":
+        ranked = [
+            replace(one, tied_with=tuple(n for n in ties if n != one.name))
+            if one.name in ties
+            else one
+            for one in ranked
+        ]
     shown = [one for i, one in enumerate(ranked) if i < 6 or one.name == "nothing"]
     errors = {one.name: held_out(one.fit) for one in shown if details}
     ranked = [
         replace(one, heldout_error=errors.get(one.name, math.nan)) for one in ranked
     ]
-    verdict, effects = _verdict(ranked, ties)
     names, matrix = confusion(ranked if details else [], count, seed)
     return Ranking(
         verdict=verdict,
@@ -513,7 +537,7 @@ def confusion(
     """How readings like these would be named if each hypothesis in turn were true.
 
     Errors are drawn around the best fit of each; every other hypothesis is taken where
-    it comes nearest (`evidence.nearest`), with the width of its prior as in the fits.
+    it comes nearest (`weighing.nearest`), with the width of its prior as in the fits.
     Effects without a name are left out: they have no best fit to draw from.
 
     Returns

@@ -27,7 +27,7 @@ from .page import (
 from .provenance import package
 from .rank import PAIRS, PARTNERS, Candidate, Ranking
 from .study import Study
-from .words import INSIDE, in_words, log_odds, percent, sizes, ties, verdict
+from .words import INSIDE, in_words, log_odds, percent, sizes, verdict
 
 SIGNATURES = 4
 """Candidates whose signatures are drawn."""
@@ -115,7 +115,7 @@ def _candidates(study: Study, ranking: Ranking) -> Iterator[str]:
     shown: list[Candidate] = []
     rest: list[Candidate] = []
     for i, one in enumerate(ranking.candidates):
-        known = i < FIRST or one.name == "nothing" or ties(ranking, one)
+        known = i < FIRST or one.name == "nothing" or one.tied_with
         (shown if known or one.probability > LEAST else rest).append(one)
     yield heading("Candidates")
     heads = "".join(
@@ -155,7 +155,7 @@ _NUMBERS = _HEADS[1:3]
 def _body(ranking: Ranking, one: Candidate) -> str:
     """Rows of one candidate, one for each of its parameters."""
     name = f"<strong>{escape(in_words(one.name))}</strong>"
-    tied = ", ".join(in_words(other) for other in ties(ranking, one))
+    tied = ", ".join(in_words(other) for other in one.tied_with)
     name += f"<br>{small(f'tied with {tied}')}" if tied else ""
     odds = escape(percent(one.probability))
     if one is not ranking.best:

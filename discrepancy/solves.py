@@ -10,7 +10,7 @@ import hashlib
 import inspect
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -407,13 +407,3 @@ def _one_thread() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(1)
-
-
-def failures(answers: dict[Solve, Solved], tasks: Sequence[Solve]) -> list[str]:
-    """One line for each path that did not get to the end of its load steps."""
-    lines = []
-    for task in tasks:
-        answer = answers[task]
-        if answer.status != "completed":
-            lines.append(f"{answer.status}: {answer.message}")
-    return lines

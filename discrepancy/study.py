@@ -7,36 +7,32 @@ the model's mesh; what an effect changes is solved on a faster one and added.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path as FilePath
 
 import numpy as np
 
-from datagen.device import Design, named_device
 from datagen.effects import Effect, catalogue
 from datagen.errors import EffectError, InputError
-from datagen.model import Model
-from datagen.problem import Problem
-from datagen.specimens import Bulge, Tensile
+from datagen.specimens import Tensile
 
-from .calibration import FIELDS, Calibrations
+from .calibration import Calibrations
 from .emulator import Emulator
 from .evidence import Prediction
 from .hypotheses import Null, Present
 from .measurement import Curve, Measurements
 from .noise import Readings
+from .paths import Paths
 from .prior import EVEN, Prior
 from .repeats import ENOUGH, noise_from_repeats
-from .solves import Solve, Solved, Solver, Values, values_of
+from .solves import Solve, Solved, Solver
 from .unknown import shapes_of
 
 Array = np.ndarray
-
-CONDITIONS = ("orientation",)
-"""Effect parameters that the measurement states, curve by curve; never inferred."""
 
 GUESS = 0.005
 """Noise where none is stated and nothing was repeated, share of a curve's maximum."""
@@ -105,7 +101,6 @@ class Study:
         self.measurements, self.solver = measurements, solver
         self.level, self.fast = level, fast
         self.folder = effects_dir
-        self.effects_dir = str(effects_dir) if effects_dir is not None else None
         known = catalogue(effects_dir)
         for name in effects or ():
             if name not in known:
@@ -114,7 +109,7 @@ class Study:
                 )
         chosen = known if effects is None else {n: known[n] for n in effects}
         self.effects: dict[str, Effect] = dict(chosen)
-        self._known = known
+        self.paths = Paths(measurements, known, effects_dir)
         self.warnings: list[str] = []
         self.cells = self._measured()
         self._nodes: dict[tuple[tuple[str, ...], tuple[float, ...]], Node] = {}
@@ -145,10 +140,9 @@ class Study:
 
     def _read(self) -> None:
         """Solve the baseline; readings beyond its reach are left out and told."""
-        fine = self._solved([((), self.level)])[(), self.level]
-        fast = self._solved([((), self.fast)])[(), self.fast]
-        values, _ = self._gather((), fine)
-        quick, _ = self._gather((), fast)
+        fine, fast = self._baseline(self.level), self._baseline(self.fast)
+        values, _ = self.paths.gather(self.cells, (), fine)
+        quick, _ = self.paths.gather(self.cells, (), fast)
         there = np.isfinite(values) & np.isfinite(quick)
         lost = sorted({self.cells[i][0] for i in np.flatnonzero(~there)})
         for c in lost:
@@ -169,7 +163,7 @@ class Study:
         self.readings = self._readings()
         self.calibrations = Calibrations.of(self.measurements, self.cells)
         off: tuple[str, ...] = ()
-        self._nodes[off, ()] = self._node(off, (), fast)
+        self._nodes[off, ()] = self._node(off, np.zeros(0), fast)
         self.base = self._nodes[off, ()].values + self.shift
 
     def _readings(self) -> Readings:
@@ -248,177 +242,21 @@ class Study:
     def blind(self, name: str) -> str:
         """Why these readings cannot show an effect, empty where they may."""
         timeless = all(curve.time is None for curve in self.measurements.curves)
-        if timeless and self._timed(name):
+        if timeless and self.paths.traits.timed(name):
             return "it depends on time, and no reading has one (column time_s)"
         return ""
 
-    def _timed(self, name: str) -> bool:
-        """Whether an effect's answer depends on how long a load step takes."""
-        problem = self._example(name)
-        if problem is None:
-            return False
-        if bool(problem.swellings):
-            return True
-        f = np.tile(np.diag([1.2, 0.9, 1.0]).reshape(1, 9), (2, 1))
-        for law in problem.laws:
-            if not law.history_size:
-                continue
-            rest = np.zeros((2, law.history_size))
-            quick, slow = (
-                law.respond(f, np.ones(2), rest, dt, False).stress for dt in (1.0, 1e3)
-            )
-            if not np.array_equal(quick, slow):
-                return True
-        return False
-
-    def _example(self, name: str) -> Problem | None:
-        """A device with an effect in the middle of its range; None where none fits."""
-        devices = (c.design for c in self.measurements.curves)
-        design = next((d for d in devices if isinstance(d, Design)), None)
-        middle = {
-            p.name: 0.5 * (p.lower + p.upper) for p in self._known[name].parameters
-        }
-        directory = FilePath(self.effects_dir) if self.effects_dir else None
-        model = Model((name,), "draft", {name: middle}, directory)
-        try:
-            return model.problem(design or named_device("S1"))
-        except InputError:
-            return None
-
-    @cached_property
-    def _remembering(self) -> dict[str, bool]:
-        """Whether an effect's answer depends on what came before."""
-        found = {}
-        for name in self._known:
-            problem = self._example(name)
-            found[name] = problem is not None and (
-                any(law.history_size for law in problem.laws) or bool(problem.swellings)
-            )
-        return found
-
-    def _load(
-        self, c: int, effects: Iterable[str]
-    ) -> tuple[tuple[float, ...], tuple[float, ...] | None, Array]:
-        """Loads and times of a curve's solve, and where its steps are among them."""
-        curve = self.measurements.curves[c]
-        load = np.asarray(curve.load)
-        if any(self._remembering[name] for name in effects):
-            before = [
-                other
-                for other in self.measurements.curves
-                if other.device == curve.device
-                and other.run < curve.run
-                and other.orientation == curve.orientation
-            ]
-            before.sort(key=lambda other: other.run)
-            parts = [*(np.asarray(b.load) for b in before), load]
-            steps = sum(len(p) for p in parts)
-            at = np.arange(steps - len(load), steps)
-            times = [
-                t for t in (*(b.time for b in before), curve.time) if t is not None
-            ]
-            time: tuple[float, ...] | None = None
-            if len(times) == len(parts):
-                whole: list[float] = []
-                for t in times:  # clocks that were started anew run on
-                    late = whole[-1] + 1.0 - t[0] if whole and t[0] <= whole[-1] else 0
-                    whole += [float(x + late) for x in t]
-                time = tuple(whole)
-            return tuple(float(p) for p in np.concatenate(parts)), time, at
-        if (load < 0).any() or self._pulled(curve):
-            return tuple(float(p) for p in load), None, np.arange(len(load))
-        unique, at = np.unique(load, return_inverse=True)
-        return tuple(float(p) for p in unique), None, at
-
-    def _task(self, c: int, effects: Values, level: str) -> Solve:
-        curve = self.measurements.curves[c]
-        by: tuple[str, ...] = FIELDS
-        if isinstance(curve.design, Bulge):
-            by = ("modulus", "thickness")
-        elif isinstance(curve.design, Tensile):
-            by = ("modulus",)
-        load, time, _ = self._load(c, [name for name, _ in effects])
-        return Solve(curve.design, load, time, effects, level, by, self.effects_dir)
-
-    def _effects(
-        self, c: int, names: tuple[str, ...], values: Mapping[str, float]
-    ) -> Values:
-        """All parameters of some effects for one curve, its conditions included."""
-        orientation = self.measurements.curves[c].orientation
-        given: dict[str, dict[str, float]] = {}
-        for name in names:
-            given[name] = {}
-            for parameter in self._known[name].parameters:
-                full = f"{name}.{parameter.name}"
-                if parameter.name in CONDITIONS:
-                    given[name][parameter.name] = orientation
-                else:
-                    given[name][parameter.name] = float(values[full])
-        return values_of(given)
-
-    def _solved(
-        self, wanted: Sequence[tuple[tuple[tuple[str, Mapping[str, float]], ...], str]]
-    ) -> dict[tuple[object, str], list[Solved]]:
-        """Baseline solves of all curves on some meshes."""
-        curves = range(len(self.measurements.curves))
-        tasks = {
-            (key, level): [self._task(c, (), level) for c in curves]
-            for key, level in wanted
-        }
-        answers = self.solver.all(
-            [task for group in tasks.values() for task in group], "baseline"
-        )
-        return {key: [answers[t] for t in group] for key, group in tasks.items()}
-
     def priors(self, names: Sequence[str]) -> tuple[Prior, ...]:
         """Priors of the parameters of some effects, named ``effect.parameter``."""
-        from dataclasses import replace
+        return self.paths.priors(names)
 
-        return tuple(
-            Prior(replace(parameter, name=f"{name}.{parameter.name}"))
-            for name in names
-            for parameter in self._known[name].parameters
-            if parameter.name not in CONDITIONS
-        )
+    def _baseline(self, level: str) -> list[Solved]:
+        tasks = [self.paths.task(c, level) for c in self.paths.curves]
+        answers = self.solver.all(tasks, "baseline")
+        return [answers[task] for task in tasks]
 
-    def _gather(
-        self, names: tuple[str, ...], solved: Sequence[Solved]
-    ) -> tuple[Array, Array]:
-        """(n,) values and (n, 4) derivatives by `FIELDS` of all readings."""
-        n = len(self.cells)
-        values, fields = np.empty(n), np.zeros((n, len(FIELDS)))
-        places = {}
-        for i, (c, s, m) in enumerate(self.cells):
-            curve, answer = self.measurements.curves[c], solved[c]
-            if c not in places:
-                places[c] = self._load(c, names)[2]
-            column = answer.outputs.index(curve.outputs[m])
-            step = places[c][s]
-            values[i] = answer.values[step, column]
-            for j, name in enumerate(answer.by):
-                if name in FIELDS:
-                    fields[i, FIELDS.index(name)] = answer.jacobian[step, column, j]
-                elif name in ("modulus", "thickness"):
-                    layer = curve.design.layer  # type: ignore[union-attr]
-                    at = FIELDS.index(f"{layer}_{name}")
-                    fields[i, at] = answer.jacobian[step, column, j]
-        return values, fields
-
-    def _node(
-        self, names: tuple[str, ...], t: tuple[float, ...], solved: Sequence[Solved]
-    ) -> Node:
-        values, fields = self._gather(names, solved)
-        priors = self.priors(names)
-        slopes = np.full((len(self.cells), len(priors)), np.nan)
-        for k, prior in enumerate(priors):
-            for i, (c, s, m) in enumerate(self.cells):
-                answer = solved[c]
-                if prior.parameter.name not in answer.by:
-                    continue
-                column = answer.outputs.index(self.measurements.curves[c].outputs[m])
-                step = self._load(c, names)[2][s]
-                by = answer.by.index(prior.parameter.name)
-                slopes[i, k] = answer.jacobian[step, column, by] * prior.slope(t[k])
+    def _node(self, names: tuple[str, ...], t: Array, solved: Sequence[Solved]) -> Node:
+        values, fields = self.paths.gather(self.cells, names, solved)
         if names:  # next to a limit point there are no derivatives: the baseline's
             fields = np.where(np.isfinite(fields), fields, self._nodes[(), ()].fields)
         else:
@@ -428,6 +266,7 @@ class Study:
             for c, one in enumerate(solved)
             if one.status != "completed"
         )
+        slopes = self.paths.slopes(self.cells, names, t, solved)
         return Node(values, slopes, fields, failed)
 
     def solve(
@@ -447,20 +286,95 @@ class Study:
             if key in self._nodes:
                 continue
             names, t = key
-            values = {
-                prior.parameter.name: float(prior.value(x))
-                for prior, x in zip(self.priors(names), t, strict=True)
-            }
             tasks[i] = [
-                self._task(c, self._effects(c, names, values), self.fast)
-                for c in range(len(self.measurements.curves))
+                self.paths.task(c, self.fast, names, t) for c in self.paths.curves
             ]
         answers = self.solver.all([s for group in tasks.values() for s in group], what)
         for i, group in tasks.items():
             names, t = keys[i]
-            self._nodes[names, t] = self._node(names, t, [answers[s] for s in group])
+            solved = [answers[task] for task in group]
+            self._nodes[names, t] = self._node(names, np.array(t), solved)
         found = [self._nodes[key] for key in keys]
         return [one if np.isfinite(one.values).all() else None for one in found]
+
+    def tangents(self, names: Sequence[str]) -> list[str]:
+        """Differentiate by all effects where they are off, one solve for each curve.
+
+        Parameters
+        ----------
+        names : sequence of str
+
+        Returns
+        -------
+        list of str
+            Effects that have such derivatives; those with a memory have another path,
+            and some change what is held or meshed at once.
+        """
+        smooth = tuple(name for name in names if self.paths.traits.smooth(name))
+        off = {name: tuple(p.off for p in self.priors((name,))) for name in smooth}
+        wanted = tuple(n for n in smooth if ((n,), off[n]) not in self._nodes)
+        if wanted:
+            at = [t for name in wanted for t in off[name]]
+            tasks = [
+                self.paths.task(c, self.fast, wanted, at) for c in self.paths.curves
+            ]
+            answers = self.solver.all(tasks, "all effects at once")
+            solved = [answers[task] for task in tasks]
+            for name in wanted:
+                node = self._node((name,), np.array(off[name]), solved)
+                self._nodes[(name,), off[name]] = replace(
+                    self._nodes[(), ()], slopes=node.slopes
+                )
+        return [
+            name
+            for name in smooth
+            if np.isfinite(self._nodes[(name,), off[name]].slopes).all()
+        ]
+
+    def bends(self, names: Sequence[str]) -> dict[str, float]:
+        """How far effects of finite size turn away from their tangents.
+
+        Each is solved at one size, on the one curve that its tangent moves most.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Effects with derivatives where they are off (`tangents`).
+
+        Returns
+        -------
+        dict of str to float
+            Difference of the change and that of the tangent over the larger of them,
+            0 to 2; 2 where the path does not get there.
+        """
+        tasks: dict[str, Solve] = {}
+        places: dict[str, tuple[int, list[int], Array]] = {}
+        for name in names:
+            off = np.array([p.off for p in self.priors((name,))])
+            firsts = self.first(name)
+            way = np.sum([t - off for t in firsts], axis=0) / math.sqrt(len(firsts))
+            slopes = self._nodes[(name,), tuple(off)].slopes
+            tangent = slopes @ way / self.readings.noise
+            curve = self.cells[int(np.argmax(np.abs(tangent)))][0]
+            at = [i for i, cell in enumerate(self.cells) if cell[0] == curve]
+            places[name] = curve, at, tangent[at]
+            tasks[name] = self.paths.task(curve, self.fast, (name,), off + way, by=())
+        answers = self.solver.all(tasks.values(), "how straight effects are")
+        base = self._nodes[(), ()].values
+        found = {}
+        for name, (curve, at, tangent) in places.items():
+            solved = {curve: answers[tasks[name]]}
+            cells = [self.cells[i] for i in at]
+            values, _ = self.paths.gather(cells, (name,), solved)
+            change = (values - base[at]) / self.readings.noise[at]
+            apart, one, other = (
+                float(np.linalg.norm(v)) for v in (change - tangent, change, tangent)
+            )
+            size = max(one, other)
+            found[name] = apart / size if size > 0 else 0.0
+            if not math.isfinite(size):
+                found[name] = 2.0
+        return found
 
     def on_mesh(
         self, names: tuple[str, ...], values: Mapping[str, float], level: str
@@ -471,12 +385,11 @@ class Study:
         ----------
         values : mapping of ``effect.parameter`` to float, SI
         """
-        tasks = [
-            self._task(c, self._effects(c, names, values), level)
-            for c in range(len(self.measurements.curves))
-        ]
+        t = [p.coordinate(values[p.parameter.name]) for p in self.priors(names)]
+        tasks = [self.paths.task(c, level, names, t) for c in self.paths.curves]
         answers = self.solver.all(tasks, "corrected curves")
-        return self._gather(names, [answers[task] for task in tasks])[0]
+        solved = [answers[task] for task in tasks]
+        return self.paths.gather(self.cells, names, solved)[0]
 
     # -- hypotheses ----------------------------------------------------------------
 
@@ -545,7 +458,7 @@ class Study:
         """The hypothesis that some effects act, from what has been solved of them.
 
         Solves of fewer of the effects count, too, the others being off there.  None
-        where nothing but the baseline has been solved.
+        where neither a solve nor a derivative tells it from the baseline.
         """
         names = tuple(sorted(names))
         ready = self._present.get(names)
@@ -555,7 +468,8 @@ class Study:
         off = np.array([p.off for p in priors])
         base = self._nodes[(), ()]
         n, k = len(self.cells), len(priors)
-        nodes, found = [off], [(base, np.full((n, k), np.nan))]
+        at_off = np.full((n, k), np.nan)
+        nodes, found = [off], [(base, at_off)]
         for (solved, t), node in self._nodes.items():
             if not solved or not set(solved) <= set(names):
                 continue
@@ -565,13 +479,16 @@ class Study:
             places = [i for i, p in enumerate(priors) if p.parameter.name in own]
             where = off.copy()
             where[places] = t
+            if np.allclose(where, off, atol=1e-9):
+                at_off[:, places] = node.slopes
+                continue
             if any(np.allclose(where, other, atol=1e-9) for other in nodes):
                 continue
             slopes = np.full((n, k), np.nan)
             slopes[:, places] = node.slopes
             nodes.append(where)
             found.append((node, slopes))
-        if len(nodes) < 2:
+        if len(nodes) < 2 and np.isnan(at_off).any(axis=0).all():
             return None
         span = np.array([p.bounds[1] - p.bounds[0] for p in priors])
         curves = Emulator(

@@ -51,8 +51,8 @@ class Estimate:
         90 % interval.
     lower, upper : float
         Literature range.
-    plausible : bool
-        False at an end of that range at which the effect does not vanish.
+    plausibility : str
+        Against that range, as `words.Size` has it.
     source : str
         Of the range.
     """
@@ -65,7 +65,7 @@ class Estimate:
     high: float
     lower: float
     upper: float
-    plausible: bool
+    plausibility: str
     source: str
 
     def __post_init__(self) -> None:
@@ -218,7 +218,7 @@ class ModelVersion:
                 high=one["high"],
                 lower=one["range"][0],
                 upper=one["range"][1],
-                plausible=one["plausible"],
+                plausibility=one["plausibility"],
                 source=one["source"],
             )
             for name, one in zip(

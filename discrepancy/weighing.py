@@ -67,7 +67,8 @@ def nearest(
 
 
 HOPELESS = 12.0
-"""Log evidence behind the best at which a better integral would change nothing."""
+"""Log evidence behind the best at which more solves or a better integral would change
+nothing."""
 
 
 def weigh(

@@ -279,14 +279,6 @@ def log_odds(ranking: Ranking, one: Candidate) -> str:
     return f"log odds {odds:.1f}" if odds < 0 else "the most probable"
 
 
-def ties(ranking: Ranking, one: Candidate) -> tuple[str, ...]:
-    """Names that a candidate is tied with, where the verdict speaks of a tie.
-
-    Under another verdict candidates are alike because none of them is needed.
-    """
-    return one.tied_with if ranking.verdict == "tied" else ()
-
-
 def why_tied(best: Candidate, other: Candidate) -> str:
     """Why one candidate is tied with the best one, in a sentence."""
     worse = other.fit.misfit - best.fit.misfit

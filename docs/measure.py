@@ -33,6 +33,7 @@ CASES = (1, 2, 3, 4)
 AT = (20, 60, 100)
 TWELVE = "2,4,8,12,16,20,25,30,35,40,45,50"
 COMPARE = "compare examples/measurements/bench.csv --level draft"
+ALARMS = "-m docs.alarms"
 PBA = (sys.executable, "-c", "from service.cli import main; main()")
 COST = f"solve --device S1 --case 1 --pressures {TWELVE} --json"
 
@@ -149,11 +150,25 @@ def compare() -> str:
     return f"```text\n{lines}\n```\n\nMeasured by `pba {COMPARE}`.\n"
 
 
+def alarms() -> str:
+    """How often mere errors are taken for missing physics, and how often it is seen."""
+    done = subprocess.run(
+        [sys.executable, *ALARMS.split()],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    return f"{done.stdout}\nMeasured by `python {ALARMS}`.\n"
+
+
 BLOCKS = {
     "cost": Block(cost, repeats=False),  # first: its memory is that of one child alone
     "accuracy": Block(accuracy),
     "cases": Block(cases),
     "compare": Block(compare),
+    "alarms": Block(alarms, repeats=False),  # some minutes; the tests do fewer sets
 }
 
 

@@ -221,9 +221,14 @@ def page(cases: Cases, published: Cases, left_out: list[str]) -> str:
         "them with a limit point below 150 kPa, as the conformal quantile of 95 % over "
         "designs (with fewer than 19 Student's prediction bound, S1 counted, of its "
         "logarithm) of the largest ratio of error and bracket on a path; k is never "
-        "less than what S1 needs, up to 60 kPa, in its four material cases. At a new "
-        "design of that space the bound then holds at all load steps with a "
-        f"probability of {WANTED:.0%}.",
+        "less than what S1 needs, up to 60 kPa, in its four material cases. "
+        + (
+            "At a new design of that space the bound then holds at all load steps "
+            f"with a probability of {WANTED:.0%}."
+            if len(cases) >= ENOUGH
+            else f"**Provisional:** with fewer than {ENOUGH} designs the {WANTED:.0%} "
+            "that this aims at is a hope, not a measurement."
+        ),
         "",
         "What that does not cover: pressures above nine tenths of a limit point, "
         "effects, designs outside the default space, and the error of the fine mesh "

@@ -7,6 +7,7 @@ Trials wait in runs/recovery.jsonl; docs/recovery.md is written from them.
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 import time
@@ -23,6 +24,7 @@ from discrepancy.answer import parameters_of
 from discrepancy.rank import Ranking
 from discrepancy.solves import Progress, Solver
 from tests.recovery.trial import (
+    KINDS,
     Lab,
     rank,
     readings_of,
@@ -56,6 +58,7 @@ COUNTS = (5, 10)
 class Trial:
     """One set of readings: what is planted, how large, on how many devices."""
 
+    lab: str
     kind: str  # single, nothing, unnamed, pair, moduli
     planted: tuple[str, ...]
     size: float
@@ -68,30 +71,33 @@ class Trial:
         return json.dumps(asdict(self))
 
 
-def trials(labs: dict[int, Lab], seeds: int) -> Iterator[Trial]:
+Labs = dict[tuple[str, int], Lab]
+
+
+def trials(labs: Labs, seeds: int) -> Iterator[Trial]:
     """Every trial of the matrix."""
-    names = judged(labs[max(COUNTS)])
-    kinds = tuple(unnamed_changes(labs[max(COUNTS)]))
     rng = np.random.default_rng(7)
-    for seed in range(seeds):
+    shown = {kind: judged(labs[kind, max(COUNTS)]) for kind in KINDS}
+    for seed, kind in itertools.product(range(seeds), KINDS):
+        names, unnamed = shown[kind], tuple(unnamed_changes(labs[kind, max(COUNTS)]))
+        for devices, noise, size in itertools.product(COUNTS, NOISES, SIZES):
+            for name in names:
+                yield Trial(kind, "single", (name,), size, devices, noise, seed)
         for devices in COUNTS:
-            for noise in NOISES:
-                for size in SIZES:
-                    for name in names:
-                        yield Trial("single", (name,), size, devices, noise, seed)
             for part in range(5):
                 number = 1000 * part + seed
-                yield Trial("nothing", (), 0.0, devices, NULL_NOISE, number)
-            for name in kinds:
-                for size in SIZES[1:]:
-                    yield Trial("unnamed", (name,), size, devices, NOISES[1], seed)
+                yield Trial(kind, "nothing", (), 0.0, devices, NULL_NOISE, number)
+            for name, size in itertools.product(unnamed, SIZES[1:]):
+                yield Trial(kind, "unnamed", (name,), size, devices, NOISES[1], seed)
         for _ in range(6):
             a, b = (str(x) for x in rng.choice(names, 2, replace=False))
-            yield Trial("pair", (a, b), SIZES[2], max(COUNTS), NOISES[1], seed)
+            yield Trial(kind, "pair", (a, b), SIZES[2], max(COUNTS), NOISES[1], seed)
         for name in names:
             if name != "modulus_bias":
                 both = (name, "modulus_bias")
-                yield Trial("moduli", both, SIZES[2], max(COUNTS), NOISES[1], seed)
+                yield Trial(
+                    kind, "moduli", both, SIZES[2], max(COUNTS), NOISES[1], seed
+                )
 
 
 def judged(lab: Lab) -> list[str]:
@@ -124,7 +130,7 @@ def run(lab: Lab, trial: Trial) -> dict[str, Any]:
     readings, planted = readings_of(
         lab, truth, noise=trial.noise, smooth=smooth, seed=trial.seed, extra=extra
     )
-    ranking = rank(lab, readings)
+    ranking, asked = rank(lab, readings)
     named = [c for c in ranking.candidates if c.effects and not c.unnamed]
     inside = None
     for one in named:
@@ -137,6 +143,7 @@ def run(lab: Lab, trial: Trial) -> dict[str, Any]:
         "moved": planted.moved,
         "probability": probability_of(ranking, trial),
         "inside": inside,
+        "asked": asked,
         "seconds": time.perf_counter() - began,
     }
 
@@ -180,14 +187,14 @@ def right(row: dict[str, Any]) -> bool:
     )
 
 
-_lab: dict[int, Lab] = {}
+_lab: Labs = {}
 
 
-def _labs(solver: Solver) -> dict[int, Lab]:
+def _labs(solver: Solver) -> Labs:
     found = {}
-    for count in COUNTS:
-        found[count] = Lab(solver, count)
-        found[count].solve()
+    for kind, count in itertools.product(KINDS, COUNTS):
+        found[kind, count] = Lab(solver, count, kind)
+        found[kind, count].solve()
     return found
 
 
@@ -195,7 +202,7 @@ def _work(trial: Trial, cache: str | None) -> dict[str, Any]:
     """One trial in a worker process, which reads the kept solves once."""
     if not _lab:
         _lab.update(_labs(Solver(1, Path(cache) if cache else None)))
-    return run(_lab[trial.devices], trial)
+    return run(_lab[trial.lab, trial.devices], trial)
 
 
 def main(seeds: str = "20", workers: str = "2", cache: str = "") -> None:
@@ -245,88 +252,98 @@ def share(rows: list[dict[str, Any]]) -> str:
     return f"{100 * np.mean([right(row) for row in rows]):.0f}% of {len(rows)}"
 
 
+LABS = {
+    "stiff": "Stiff devices, 10 to 70 kPa",
+    "soft": "Soft devices, 3.6 to 25 kPa and back, with times",
+}
+
+
 def page(rows: list[dict[str, Any]]) -> str:
     """The document."""
+    seconds = [row["seconds"] for row in rows]
     lines = [
         "# What the ranking finds",
         "",
-        "Readings of tip and inflation at seven pressures, 10 to 70 kPa, of 5 or 10 "
-        "devices, with batch moduli, thicknesses and camera scales drawn within their "
-        "tolerances, smooth errors inside every curve (Legendre polynomials, 0.5 % of "
-        "its maximum; 1 % where nothing is planted) and independent noise of 1, 3 or 6 "
-        "um. One effect is planted, its parameters in a random direction, with a size "
-        "that moves some reading by 3, 6 or 12 times what noise, smooth errors and "
-        "tolerances together leave open there. Right is the effect's name, or a tied "
-        "group with it. Truth and ranking share their curves "
-        "(`tests/recovery/trial.py`); sets that are solved on other meshes are those "
-        "of `pba challenge`.",
+        "Readings of tip and inflation at seven pressures, in one lab on the way back, "
+        "too, of 5 or 10 devices, with batch moduli, thicknesses and camera scales "
+        "drawn within their tolerances, smooth errors inside every curve (Legendre "
+        "polynomials, 0.5 % of its maximum; 1 % where nothing is planted) and "
+        "independent noise of 1, 3 or 6 um. One effect is planted, its parameters in a "
+        "random direction, with a size that moves some reading by 3, 6 or 12 times "
+        "what noise, smooth errors and tolerances together leave open there. Right is "
+        "the effect's name, or a tied group with it. The search is that of `pba rank`, "
+        "the whole catalogue its candidates; its solves are answered from the "
+        "interpolated curves that the readings were made from "
+        "(`tests/recovery/rehearsal.py`). Sets that are solved on other meshes are "
+        "those of `pba challenge`.",
         "",
         "Written by `make recovery`.",
-        "",
-        "## One effect",
-        "",
     ]
-    single = [r for r in rows if r["trial"]["kind"] == "single"]
-    single = [r for r in single if r["moved"] >= 0.99 * min(SIZES)]
-    names = sorted({r["trial"]["planted"][0] for r in single})
-    weak = sorted(set(catalogue()) - set(names))
-    head = ["effect", *(f"{d} devices, {s:g} x" for d in COUNTS for s in SIZES)]
-    lines += [f"| {' | '.join([*head, 'said most often where wrong'])} |"]
-    lines += ["| --- " * (len(head) + 1) + "|"]
-
-    def pick(name: str | None, devices: int, size: float) -> list[dict[str, Any]]:
-        return [
-            r
-            for r in single
-            if (name is None or r["trial"]["planted"] == (name,))
-            and r["trial"]["devices"] == devices
-            and r["trial"]["size"] == size
-        ]
-
-    for name in [*names, None]:
-        cells = [share(pick(name, d, s)) for d in COUNTS for s in SIZES]
-        wrong = [
-            "/".join(r["effects"]) or r["verdict"]
-            for r in single
-            if not right(r) and (name is None or r["trial"]["planted"] == (name,))
-        ]
-        most = max(set(wrong), key=wrong.count) if wrong else ""
-        most = most if len(most) < 60 else most[:57] + "..."
-        shown = f"`{name}`" if name else "**all**"
-        lines.append(f"| {' | '.join([shown, *cells, most])} |")
-    sharp = [r for r in single if right(r) and r["verdict"] == "identified"]
-    good = [r for r in single if right(r)]
-    inside = [x for r in single if r["inside"] is not None for x in r["inside"]]
+    for lab, title in LABS.items():
+        chosen = [row for row in rows if row["trial"]["lab"] == lab]
+        if chosen:
+            lines += ["", f"## {title}", "", *section(chosen)]
+    single = of_kind(rows, "single")
+    shown = {row["trial"]["planted"][0] for row in single}
+    weak = sorted(set(catalogue()) - shown)
+    lines += ["", "## All", ""]
+    lines += ["| devices | 1 um noise | 3 um noise | 6 um noise |", "| --- " * 4 + "|"]
+    for devices in COUNTS:
+        cells = [share(pick(single, devices=devices, noise=noise)) for noise in NOISES]
+        lines.append(f"| {devices} | {' | '.join(cells)} |")
+    good = [row for row in single if right(row)]
+    alone = [row for row in good if row["verdict"] == "identified"]
+    inside = [x for row in single if row["inside"] is not None for x in row["inside"]]
+    none = "none" if not weak else ", ".join(f"`{name}`" for name in weak)
     lines += [
         "",
-        f"Of the right answers {100 * len(sharp) / max(len(good), 1):.0f}% name the "
+        f"Of the right answers {100 * len(alone) / max(len(good), 1):.0f}% name the "
         "effect alone, the others a tied group. "
         f"{100 * np.mean(inside) if inside else 0:.0f}% of {len(inside)} planted "
-        "parameters lie inside their 90 % interval.",
+        "parameters lie inside their 90 % interval. Effects that neither lab can move "
+        f"a reading far enough with, within their ranges: {none}.",
         "",
-        "Not in the table, as they cannot move any reading of these devices that far "
-        "within their ranges, or need unloading or times: "
-        + ", ".join(f"`{name}`" for name in weak)
-        + ". The stiffening laws among them show in softer, wider and thinner devices "
-        "near their limit pressure, and in tensile tests.",
-        "",
-        "| devices | 1 um noise | 3 um noise | 6 um noise |",
-        "| --- | --- | --- | --- |",
+        f"{len(rows)} trials, {np.median(seconds) if seconds else 0:.1f} s each; the "
+        f"search asked for {np.median([row['asked'] for row in rows]):.0f} solves of "
+        "each curve (median) besides the baseline.",
     ]
-    for devices in COUNTS:
-        cells = [
-            share(
-                [
-                    r
-                    for r in single
-                    if r["trial"]["devices"] == devices and r["trial"]["noise"] == noise
-                ]
-            )
-            for noise in NOISES
-        ]
-        lines.append(f"| {devices} | {' | '.join(cells)} |")
-    lines += ["", "## Nothing, something else, two", ""]
-    lines += ["| planted | devices | right | otherwise |", "| --- | --- | --- | --- |"]
+    return "\n".join(lines) + "\n"
+
+
+def of_kind(rows: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
+    """Rows of one kind of trial, those where the planted effect is large enough."""
+    chosen = [row for row in rows if row["trial"]["kind"] == kind]
+    if kind != "single":
+        return chosen
+    return [row for row in chosen if row["moved"] >= 0.99 * min(SIZES)]
+
+
+def pick(rows: list[dict[str, Any]], **wanted: object) -> list[dict[str, Any]]:
+    """Rows whose trials have the wanted fields."""
+    return [
+        row
+        for row in rows
+        if all(row["trial"][name] == value for name, value in wanted.items())
+    ]
+
+
+def section(rows: list[dict[str, Any]]) -> list[str]:
+    """The tables of one lab."""
+    single = of_kind(rows, "single")
+    names = sorted({row["trial"]["planted"] for row in single})
+    cases = list(itertools.product(COUNTS, SIZES))
+    head = ["effect", *(f"{d} devices, {s:g} x" for d, s in cases)]
+    lines = [f"| {' | '.join([*head, 'said most often where wrong'])} |"]
+    lines += ["| --- " * (len(head) + 1) + "|"]
+    for planted in [*names, None]:
+        own = pick(single, planted=planted) if planted else single
+        cells = [share(pick(own, devices=d, size=s)) for d, s in cases]
+        wrong = ["/".join(r["effects"]) or r["verdict"] for r in own if not right(r)]
+        most = max(set(wrong), key=wrong.count) if wrong else ""
+        most = most if len(most) < 60 else most[:57] + "..."
+        shown = f"`{planted[0]}`" if planted else "**all**"
+        lines.append(f"| {' | '.join([shown, *cells, most])} |")
+    lines += ["", "| planted | devices | right | otherwise |", "| --- " * 4 + "|"]
     for kind, words in (
         ("nothing", "nothing"),
         ("unnamed", "an effect that has no name here"),
@@ -334,28 +351,19 @@ def page(rows: list[dict[str, Any]]) -> str:
         ("moduli", "wrong moduli and an effect"),
     ):
         for devices in COUNTS:
-            chosen = [
-                r
-                for r in rows
-                if r["trial"]["kind"] == kind and r["trial"]["devices"] == devices
-            ]
+            chosen = pick(rows, kind=kind, devices=devices)
             if not chosen:
                 continue
             others: dict[str, int] = {}
-            for r in chosen:
-                if not right(r):
-                    others[r["verdict"]] = others.get(r["verdict"], 0) + 1
+            for row in chosen:
+                if not right(row):
+                    others[row["verdict"]] = others.get(row["verdict"], 0) + 1
             told = ", ".join(
                 f"{name} {100 * n / len(chosen):.0f}%"
                 for name, n in sorted(others.items(), key=lambda item: -item[1])
             )
             lines.append(f"| {words} | {devices} | {share(chosen)} | {told} |")
-    seconds = [r["seconds"] for r in rows]
-    lines += [
-        "",
-        f"{len(rows)} trials, {np.median(seconds) if seconds else 0:.1f} s each.",
-    ]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 if __name__ == "__main__":

@@ -117,6 +117,8 @@ class Answer:
         `datagen.mesh_error`; NaN where there is none.
     limit_pressure_error : float, Pa
         The same of the limit pressure.
+    effects : tuple of str
+        Adopted effects that the model which answered has in it.
     """
 
     design: Design
@@ -138,6 +140,7 @@ class Answer:
     jacobian: np.ndarray | None = None
     mesh_error: np.ndarray | None = None
     limit_pressure_error: float = math.nan
+    effects: tuple[str, ...] = ()
 
     def _columns(self) -> dict[str, tuple[list[float | None], ...]]:
         """Value, low and high by bench name, in bench units."""
@@ -183,6 +186,7 @@ class Answer:
             "in_range": self.in_range,
             "reasons": list(self.reasons),
             "notes": list(self.notes),
+            "effects": list(self.effects),
         }
 
     def to_dict(self) -> dict[str, Any]:

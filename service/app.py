@@ -23,10 +23,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from datagen.errors import EffectError, FileError, InputError, PbaError
 from datagen.units import DESIGN, PRESSURE
+from discrepancy.table import MeasurementError
+from discrepancy.workspace import Workspace, default_workspace
 
 from .answer import Predictor, load_model
 from .bench import MISSING, Words, allowed, count_words, pressure_words
+from .current import Switch
+from .discrepancy_routes import router as discrepancy_router
 from .jobs import JobNotFound, JobStore, Kind, TooManyJobs, describe
+from .measurements import MeasurementsNotFound
+from .model_routes import router as model_router
 from .routes import Service, router
 from .tasks import fem_version
 from .workers import WorkerDied
@@ -38,6 +44,8 @@ HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
     (InputError, 422),
     (EffectError, 422),
     (JobNotFound, 404),
+    (MeasurementsNotFound, 404),
+    (MeasurementError, 422),
     (TooManyJobs, 503),
     (WorkerDied, 500),
     (FileError, 500),
@@ -48,6 +56,9 @@ HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
 KINDS: Mapping[str, Kind] = {
     "predict": Kind("service.tasks:predict", max(1, (os.cpu_count() or 2) // 2)),
     "dataset": Kind("service.tasks:dataset"),
+    "compare": Kind("service.discrepancy_tasks:compare"),
+    "rank": Kind("service.discrepancy_tasks:rank"),
+    "adopt": Kind("service.discrepancy_tasks:adopt"),
 }
 """Kinds of jobs.  Each has its own workers: a dataset of hours blocks no prediction."""
 
@@ -84,6 +95,8 @@ class Settings:
         PostgreSQL for the jobs, in place of SQLite in the state folder.
     wait : float, s
         How long a request waits for the finite elements before it answers 202.
+    workspace : Path
+        Folder of the model versions; the one in use there answers.
     kinds : mapping of str to Kind
     fem_version : callable
         From mesh level to what makes the numbers of the finite elements.
@@ -93,6 +106,7 @@ class Settings:
     model: Path | None = None
     database_url: str | None = None
     wait: float = 20.0
+    workspace: Path = field(default_factory=default_workspace)
     kinds: Mapping[str, Kind] = field(default_factory=lambda: KINDS)
     fem_version: Callable[[str], str] = fem_version
 
@@ -136,17 +150,18 @@ def create_app(
     """
     chosen = Settings() if settings is None else settings
     model = load_model(chosen.model)
+    name = "reference" if chosen.model is None else chosen.model.name
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         jobs = chosen.open_store() if store is None else store
         app.state.service = Service(
-            model,
-            "reference" if chosen.model is None else chosen.model.name,
+            Switch(model, name, Workspace(chosen.workspace)),
             jobs,
             chosen.state,
             chosen.wait,
             chosen.fem_version,
+            version(),
         )
         try:
             yield
@@ -166,6 +181,8 @@ def create_app(
         redoc_url=None,  # the schema itself is at /openapi.json
     )
     app.include_router(router)
+    app.include_router(discrepancy_router)
+    app.include_router(model_router)
     _add_error_handlers(app)
     _add_page(app)
     app.add_middleware(BodyLimit)

@@ -412,13 +412,23 @@ def serve(
             metavar="S",
         ),
     ] = 20.0,
+    workspace: WorkspaceDir = None,
 ) -> None:
     """Serve predictions over HTTP, and the web page."""
+    from discrepancy.workspace import default_workspace
+
     from .app import Settings as ServerSettings
     from .app import default_state
     from .serve import run
 
-    run(ServerSettings(state or default_state(), model, database_url, wait), host, port)
+    settings = ServerSettings(
+        state or default_state(),
+        model,
+        database_url,
+        wait,
+        workspace or default_workspace(),
+    )
+    run(settings, host, port)
 
 
 def _design(device: str, case: int, settings: Sequence[str]) -> Design:

@@ -113,9 +113,12 @@ def solving(workers: int | None, cache: Path | None, quiet: bool) -> Iterator[So
     Stopped
         At Ctrl-C, with the words for the user.
     """
+    from threadpoolctl import threadpool_limits
+
     from discrepancy.solves import Solver
 
-    with progress_bar("paths", quiet=quiet) as bar:
+    # Small matrices cost more in threads than in work, and workers have the cores.
+    with threadpool_limits(1), progress_bar("paths", quiet=quiet) as bar:
         shown = bar.add_task("finite elements", total=None, note="")
 
         def update(now: Progress) -> None:

@@ -23,7 +23,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datagen.errors import EffectError, FileError, InputError, PbaError
+from discrepancy.table import MeasurementError
 
+from .measurements import MeasurementsNotFound
 from .workers import Worker, WorkerDied
 
 if TYPE_CHECKING:
@@ -76,10 +78,12 @@ class _Stop(BaseException):
 
 ERROR_TYPES: tuple[tuple[type[PbaError], str], ...] = (
     (InputError, "input"),
+    (MeasurementError, "measurements"),
     (FileError, "file"),
     (EffectError, "effect"),
     (WorkerDied, "worker"),
     (JobNotFound, "not_found"),
+    (MeasurementsNotFound, "not_found"),
     (TooManyJobs, "busy"),
     (PbaError, "error"),
 )
@@ -129,6 +133,11 @@ def describe(error: PbaError) -> dict[str, Any]:
     out: dict[str, Any] = {"type": kind, "message": str(error)}
     if isinstance(error, InputError):
         out |= {"field": error.field, "allowed": error.allowed}
+    if isinstance(error, MeasurementError):
+        out["problems"] = [
+            {"line": place.rpartition(":")[2], "message": text}
+            for place, text in error.problems
+        ]
     return out
 
 

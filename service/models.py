@@ -86,6 +86,8 @@ def models_show(
     name: Name, workspace: WorkspaceDir = None, as_json: AsJson = False
 ) -> None:
     """One version: effects, sizes, ladder, measurements, code."""
+    from discrepancy.words import INSIDE
+
     from .adoption import estimate_text, ladder_table, version_json
 
     version = _version(name, workspace)
@@ -101,7 +103,7 @@ def models_show(
     print(f"{version.folder}: version {version.version}, on {version.parent}")
     print(f"Effects: {', '.join(version.effects)}")
     for one in version.estimates:
-        edge = "" if one.plausible else "; at the end of its range"
+        edge = "" if one.plausibility == INSIDE else f"; {one.plausibility}"
         print(f"  {estimate_text(one)}{edge}")
     print()
     print_rich(ladder_table(version.ladder))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,11 +28,10 @@ from .terminal import print_json, print_rich
 if TYPE_CHECKING:
     from discrepancy.rank import Ranking
 
+    from .ranked import Ranked
+
 ROWS = 8
 """Candidates shown to people; JSON has them all."""
-
-SURE = 0.99
-"""Probability of an effect above which nothing more has to be measured to name it."""
 
 
 def rank(
@@ -61,16 +61,7 @@ def rank(
 
     Finished solves are kept: a run that was stopped goes on where it was.
     """
-    from threadpoolctl import threadpool_limits
-
-    from discrepancy.answer import to_json
-    from discrepancy.compare import compare
-    from discrepancy.experiment import next_measurement
-    from discrepancy.rank import Search
-    from discrepancy.study import Study
-    from discrepancy.words import verdict
-
-    from .comparison import failure_json, failure_text
+    from .ranked import ranked
 
     measured = measurements_of(
         file, modulus_tolerance, thickness_tolerance, camera_tolerance
@@ -78,37 +69,32 @@ def rank(
     names = [name for name in effects.split(",") if name] or None
     if report is not None and not report.parent.is_dir():
         raise InputError("--report", str(report), "a file in a folder that exists")
-    with solving(workers, cache, as_json) as solver, threadpool_limits(1):
-        study = Study(
-            measured, solver, level=level, effects=names, effects_dir=effects_dir
-        )
-        ranking = Search(study, seed).run()
-        proposals = next_measurement(study, ranking)
-        compared = compare(study, seed)
-    words = [failure_text(one, compared) for one in compared.fails_where]
-    sure = ranking.verdict == "identified" and ranking.best.probability > SURE
-    proposals = [] if sure else proposals
-    then = proposals[0].words if proposals else ""
-    if report is not None:
-        from datagen.atomic import replacing
-        from discrepancy.report import report as written
-
-        page = written(
-            study,
-            ranking,
-            fails_where=" ".join(words),
-            next_measurement=then,
+    with solving(workers, cache, as_json) as solver:
+        found = ranked(
+            measured,
+            solver,
+            level=level,
+            effects=names,
+            effects_dir=effects_dir,
             seed=seed,
         )
+    if report is not None:
+        from datagen.atomic import replacing
+
         with replacing(report) as temporary:
-            temporary.write_text(page)
-    warnings = [*measured.warnings, *ranking.warnings]
+            temporary.write_text(found.page)
     if as_json:
-        where = [failure_json(one, compared) for one in compared.fails_where]
-        answer = to_json(ranking, where, proposals)
-        print_json(answer | {"warnings": warnings, "file_sha256": measured.sha256})
+        print_json(found.to_json())
         return
-    print(verdict(ranking, then))
+    show(found)
+
+
+def show(found: Ranked) -> None:
+    """A ranking for people."""
+    from discrepancy.words import verdict
+
+    ranking = found.ranking
+    print(verdict(ranking, found.next_words))
     print()
     print_rich(ranking_table(ranking))
     print(
@@ -116,16 +102,16 @@ def rank(
         f"{ranking.baseline_error:.2f}, with the right physics about "
         f"{ranking.noise_floor:.2f}."
     )
-    for line in words:
+    for line in found.fails_where:
         print(f"The model fails here: {line}")
-    for one in proposals[:3]:
+    for one in found.proposals[:3]:
         print(
             f"Next: {one.words}: the nearest two would then be told apart with "
             f"probability {one.probability:.0%}."
         )
     for name, why in ranking.unjudged.items():
         print(f"Not judged: {name}: {why}.")
-    for line in warnings:
+    for line in found.warnings:
         print(f"Warning: {line}")
 
 
@@ -142,9 +128,8 @@ def ranking_table(ranking: Ranking) -> Table:
             continue
         names = label(one)
         name = names if isinstance(names, str) else " + ".join(names)
-        error = (
-            f"{one.heldout_error:.2f}" if one.heldout_error == one.heldout_error else ""
-        )
+        known = math.isfinite(one.heldout_error)
+        error = f"{one.heldout_error:.2f}" if known else ""
         size = "; ".join(
             f"{size.short} {size.number} ({size.interval})" for size in sizes(one)
         )

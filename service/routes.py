@@ -7,7 +7,7 @@ import datetime
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +22,7 @@ from datagen.response import OUTPUTS
 from datagen.units import BY_FIELD
 
 from . import figures
-from .answer import COVERAGE, Predictor, RangeCheck, surrogate_answer
+from .answer import RangeCheck, surrogate_answer
 from .bench import (
     DEVICES,
     MAX_STEPS,
@@ -32,6 +32,7 @@ from .bench import (
     pressures_from_bench,
     rounded,
 )
+from .current import Serving, Switch
 from .jobs import OPEN, Job, JobNotFound, JobStore, payload_key
 from .schemas import (
     CheckIn,
@@ -52,17 +53,25 @@ FIRST_POLL, LAST_POLL = 0.03, 0.5
 
 @dataclass(frozen=True)
 class Service:
-    """What the endpoints share: one model, one job store, and settings."""
+    """What the endpoints share: the model in use, one job store, and settings.
 
-    model: Predictor
-    model_name: str
+    `release` is the version of the package: results of jobs on measurements are its.
+    """
+
+    switch: Switch
     store: JobStore
     state: Path
     wait: float
     fem_version: Callable[[str], str]
+    release: str = "source"
 
     def submit_predict(
-        self, design: Design, pressure: np.ndarray, level: str, check: RangeCheck
+        self,
+        serving: Serving,
+        design: Design,
+        pressure: np.ndarray,
+        level: str,
+        check: RangeCheck,
     ) -> Job:
         """A finite-element prediction as a job; the same request is the same job."""
         payload = {
@@ -73,9 +82,11 @@ class Service:
             "reasons": list(check.reasons),
         }
         same = payload | {"design": design_columns(design)}
-        return self.store.submit(
-            "predict", payload, payload_key(same, self.fem_version(level))
-        )
+        versions = [self.fem_version(level)]
+        if serving.version is not None:
+            payload |= {"adopted": str(serving.version.folder)}
+            versions.append(serving.version.version)
+        return self.store.submit("predict", payload, payload_key(same, *versions))
 
     async def ended(self, job: Job, wait: float) -> Job:
         """The job after it has ended, or after `wait` seconds as it then stands."""
@@ -95,12 +106,13 @@ def _service(request: Request) -> Service:
 Shared = Annotated[Service, Depends(_service)]
 
 
-def _errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
+def errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Statuses that a route may answer with an error's body."""
     return {status: {"model": ErrorOut} for status in statuses}
 
 
-BODY = _errors(400, 413)  # of any request with a body: no JSON, too long
-router = APIRouter(responses=_errors(422, 500))
+BODY = errors(400, 413)  # of any request with a body: no JSON, too long
+router = APIRouter(responses=errors(422, 500))
 
 
 @router.post(
@@ -108,7 +120,7 @@ router = APIRouter(responses=_errors(422, 500))
     response_model=PredictOut,
     responses={202: {"model": JobOut, "description": "Long work: a job"}}
     | BODY
-    | _errors(409, 503),
+    | errors(409, 503),
 )
 async def predict(body: PredictIn, service: Shared) -> Any:
     """What a device does at each pressure, from the surrogate where it was trained.
@@ -118,16 +130,18 @@ async def predict(body: PredictIn, service: Shared) -> Any:
     """
     design = body.design.design()
     pressure = pressures_from_bench(body.pressure_kPa)
-    check = service.model.check(design, pressure)
-    if body.source == "auto" and check.in_range:
-        return surrogate_answer(service.model, design, pressure, check).to_dict()
+    serving = service.switch.now()
+    check = serving.check(design, pressure)
+    if body.source == "auto" and check.in_range and serving.model is not None:
+        answer = surrogate_answer(serving.model, design, pressure, check)
+        return replace(answer, effects=serving.effects).to_dict()
     job = await run_in_threadpool(
-        service.submit_predict, design, pressure, body.level, check
+        service.submit_predict, serving, design, pressure, body.level, check
     )
     asked = body.model_dump(exclude_unset=True).get("wait_s", service.wait)
     job = await service.ended(job, asked)
     if job.status in OPEN:
-        return _accepted(job)
+        return accepted(job)
     if job.result is None:
         return _failed(job)
     return job.result
@@ -137,7 +151,8 @@ async def predict(body: PredictIn, service: Shared) -> Any:
 async def check(body: CheckIn, service: Shared) -> CheckOut:
     """What a request means, and whether the surrogate would answer it."""
     design = body.design.design()
-    found = service.model.check(design, pressures_from_bench(body.pressure_kPa))
+    pressure = pressures_from_bench(body.pressure_kPa)
+    found = service.switch.now().check(design, pressure)
     return CheckOut(
         design=design_columns(design),
         tip_margin_mm=rounded(design.tip_margin / MM),
@@ -147,19 +162,6 @@ async def check(body: CheckIn, service: Shared) -> CheckOut:
         reasons=list(found.reasons),
         notes=list(found.notes),
     )
-
-
-@router.get("/v1/models")
-def models(service: Shared) -> dict[str, Any]:
-    """The surrogate that answers, and what is known of it."""
-    model = service.model
-    row = {
-        "name": service.model_name,
-        "version": model.version,
-        "coverage": COVERAGE,
-        "description": plain(model.description),
-    }
-    return {"models": [row]}
 
 
 @router.get("/v1/devices")
@@ -227,25 +229,34 @@ def effects() -> dict[str, Any]:
     return {"effects": plain(rows)}
 
 
+def known_effects(names: list[str]) -> None:
+    """Refuse names that the catalogue has not.
+
+    Raises
+    ------
+    InputError
+    """
+    from datagen.effects import catalogue
+
+    known = catalogue()
+    for name in names:
+        if name not in known:
+            raise InputError("effects", name, ", ".join(known))
+
+
 @router.post(
     "/v1/datasets",
     status_code=202,
     response_model=JobOut,
-    responses=BODY | _errors(503),
+    responses=BODY | errors(503),
 )
 def generate_dataset(body: DatasetIn, service: Shared) -> Response:
     """Generate a dataset as a job; its file is then at ``/v1/jobs/ID/file``."""
-    if body.effects:
-        from datagen.effects import catalogue
-
-        known = catalogue()
-        for name in body.effects:
-            if name not in known:
-                raise InputError("effects", name, ", ".join(known))
+    known_effects(body.effects)
     folder = service.state / "datasets"
     folder.mkdir(parents=True, exist_ok=True)
     payload = body.model_dump() | {"out": str(folder / f"{uuid.uuid4().hex}.h5")}
-    return _accepted(service.store.submit("dataset", payload))
+    return accepted(service.store.submit("dataset", payload))
 
 
 @router.get("/v1/jobs")
@@ -256,20 +267,20 @@ def jobs(
     return [_job(job) for job in service.store.latest(limit)]
 
 
-@router.get("/v1/jobs/{job_id}", responses=_errors(404))
+@router.get("/v1/jobs/{job_id}", responses=errors(404))
 def job(job_id: str, service: Shared) -> JobOut:
     """A job as it stands."""
     return _job(service.store.get(job_id))
 
 
-@router.delete("/v1/jobs/{job_id}", responses=_errors(404))
+@router.delete("/v1/jobs/{job_id}", responses=errors(404))
 def cancel(job_id: str, service: Shared) -> JobOut:
     """Cancel a job; one that has ended stays as it is."""
     return _job(service.store.cancel(job_id))
 
 
 @router.get(
-    "/v1/jobs/{job_id}/file", response_class=FileResponse, responses=_errors(404)
+    "/v1/jobs/{job_id}/file", response_class=FileResponse, responses=errors(404)
 )
 def job_file(job_id: str, service: Shared) -> FileResponse:
     """The file that a job has made."""
@@ -279,7 +290,7 @@ def job_file(job_id: str, service: Shared) -> FileResponse:
     path = Path(result["file"])
     if not path.is_file():
         raise FileError(path.name, "is no longer in the state folder")
-    return FileResponse(path, filename=f"{job_id}.h5")
+    return FileResponse(path, filename=f"{job_id}{path.suffix}")
 
 
 @router.post("/v1/figures/response", responses=BODY)
@@ -298,7 +309,7 @@ def device_figure(design: DesignIn) -> dict[str, Any]:
 @router.get("/healthz")
 def health(service: Shared) -> dict[str, Any]:
     """Whether the server answers, with what."""
-    return {"status": "ok", "model_version": service.model.version}
+    return {"status": "ok", "model_version": service.switch.now().model_version}
 
 
 def _job(job: Job) -> JobOut:
@@ -308,7 +319,8 @@ def _job(job: Job) -> JobOut:
     )
 
 
-def _accepted(job: Job) -> JSONResponse:
+def accepted(job: Job) -> JSONResponse:
+    """202, with the job and where it is."""
     return JSONResponse(
         _job(job).model_dump(), 202, headers={"Location": f"/v1/jobs/{job.id}"}
     )

@@ -179,6 +179,80 @@ class DatasetIn(Strict):
     level: Level = "standard"
 
 
+class MeasuredIn(Strict):
+    """Measurements, and how they are to be judged."""
+
+    measurements: str = Field(
+        pattern=r"^[0-9a-f]{16}$", description="id that ``/v1/measurements`` answered"
+    )
+    level: Level = Field(default="standard", description="mesh of the baseline")
+    modulus_tolerance_pct: float = Field(
+        default=5.0, ge=0, le=50, description="std of each batch's modulus (%)"
+    )
+    thickness_tolerance_um: float = Field(
+        default=3.0, ge=0, le=100, description="std of each layer's thickness (um)"
+    )
+    camera_tolerance_pct: float = Field(
+        default=0.5, ge=0, le=20, description="std of the camera's scale (%)"
+    )
+    seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
+
+
+class RankingIn(MeasuredIn):
+    """Measurements, and the effects that may be missing."""
+
+    effects: list[str] = Field(
+        default=[], max_length=100, description="candidates; empty: the catalogue"
+    )
+
+
+ModelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+
+
+class AdoptionIn(MeasuredIn):
+    """Effects to be put into the model, fitted to measurements."""
+
+    effects: list[str] = Field(min_length=1, max_length=20)
+    model: ModelName = Field(description="name of the new version")
+    on: ModelName | None = Field(
+        default=None,
+        description="a version whose effects are kept and fitted together with these",
+    )
+    use: bool = Field(default=True, description="whether it answers from then on")
+
+
+class UseIn(Strict):
+    """Which model is to answer."""
+
+    model: ModelName = Field(description="name or id of a version, or baseline")
+
+
+class CurveOut(BaseModel):
+    """One run of one device, as it was read."""
+
+    device: str
+    run: int
+    specimen: str
+    orientation_deg: float
+    steps: int
+    readings: int
+    quantities: list[str]
+    timed: bool
+    branches: list[str]
+
+
+class MeasurementsOut(BaseModel):
+    """What is in a file of measurements."""
+
+    id: str
+    name: str
+    sha256: str
+    devices: list[str]
+    readings: int
+    curves: list[CurveOut]
+    warnings: list[str]
+
+
 Numbers = list[float | None]
 
 
@@ -225,6 +299,9 @@ class PredictOut(BaseModel):
     in_range: bool = Field(description="whether the surrogate was trained for this")
     reasons: list[str] = Field(description="why not, one sentence each")
     notes: list[str] = Field(description="what else is worth knowing")
+    effects: list[str] = Field(
+        default=[], description="adopted effects that the model has in it"
+    )
     model_version: str
     status: str = Field(description="how the path ended")
     message: str = Field(description="where and why it stopped, if it did")
@@ -265,6 +342,9 @@ class ErrorBody(BaseModel):
     message: str
     field: str | None = None
     allowed: str | None = None
+    problems: list[dict[str, Any]] | None = Field(
+        default=None, description="all lines of a measurement file that are not allowed"
+    )
 
 
 class ErrorOut(BaseModel):
@@ -282,7 +362,7 @@ class JobOut(BaseModel):
     submitted: str = Field(description="UTC, ISO 8601")
     progress: dict[str, Any]
     result: dict[str, Any] | None
-    error: dict[str, str] | None = Field(description="as in every error")
+    error: dict[str, Any] | None = Field(description="as in every error")
 
 
 class FigureIn(Strict):

@@ -11,10 +11,10 @@ import pytest
 
 from datagen.space import Parameter
 from discrepancy.evidence import Fit, fit
-from discrepancy.formula import Formula
 from discrepancy.noise import Covariance, Frame, Readings
 from discrepancy.prior import Prior
 from discrepancy.weighing import probabilities, weigh
+from tests.discrepancy.formula import Formula
 
 Array = np.ndarray
 

@@ -62,7 +62,7 @@ def estimate(name: str, value: float, std: float) -> Estimate:
         high=value + 1.6 * std,
         lower=-0.01,
         upper=0.01,
-        plausible=True,
+        plausibility="plausible",
         source="made up",
     )
 

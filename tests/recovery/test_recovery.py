@@ -28,7 +28,7 @@ def test_what_is_planted_is_named(lab: Lab, name: str, seed: int) -> None:
     t = size_for(lab, name, 8.0, NOISE, SMOOTH, seed)
     readings, truth = readings_of(lab, {name: t}, noise=NOISE, smooth=SMOOTH, seed=seed)
     assert truth.moved > 5
-    ranking = rank(lab, readings)
+    ranking = rank(lab, readings)[0]
     assert ranking.verdict in ("identified", "tied")
     assert name in ranking.effects
 
@@ -37,7 +37,7 @@ def test_nothing_is_named_where_nothing_is_planted(lab: Lab) -> None:
     said = []
     for seed in range(8):
         readings, _ = readings_of(lab, {}, noise=1e-6, smooth=0.01, seed=seed)
-        said.append(rank(lab, readings).verdict)
+        said.append(rank(lab, readings)[0].verdict)
     assert said.count("adequate") >= 7
 
 
@@ -48,7 +48,7 @@ def test_what_has_no_name_is_not_given_one(lab: Lab) -> None:
         readings, _ = readings_of(
             lab, {}, noise=NOISE, smooth=SMOOTH, seed=seed, extra=extra
         )
-        said.append(rank(lab, readings).verdict)
+        said.append(rank(lab, readings)[0].verdict)
     assert said.count("identified") == 0
     assert said.count("unexplained") >= 2
 
@@ -57,7 +57,7 @@ def test_two_effects_are_both_named(lab: Lab) -> None:
     pair = ("bond_edge", "cure_mismatch")
     truth = {name: size_for(lab, name, 10.0, NOISE, SMOOTH, 5) for name in pair}
     readings, _ = readings_of(lab, truth, noise=NOISE, smooth=SMOOTH, seed=1)
-    assert rank(lab, readings).effects == ("bond_edge+cure_mismatch",)
+    assert rank(lab, readings)[0].effects == ("bond_edge+cure_mismatch",)
 
 
 def test_kept_solves_are_not_solved_again(lab: Lab, tmp_path: Path) -> None:

@@ -1,10 +1,11 @@
 """Trials of the ranking: readings made with a known effect, without new solves.
 
-Ten devices of a lab are solved once with every effect at a few sizes.  A trial draws an
+The devices of a lab are solved once with every effect at a few sizes.  A trial draws an
 effect, its size, calibrations, smooth errors and noise, makes readings from the
-interpolated curves, and ranks them with the same curves: thousands of trials cost no
-finite elements.  What interpolation and meshes add is tested elsewhere, by sets of
-`pba challenge` that are solved on other meshes.
+interpolated curves, and ranks them by the whole search, whose solves are answered from
+the same curves (`rehearsal`): thousands of trials cost no finite elements.  What
+interpolation and meshes add is tested elsewhere, by sets of `pba challenge` that are
+solved on other meshes.
 """
 
 from __future__ import annotations
@@ -23,20 +24,70 @@ from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 
+from .rehearsal import Rehearsal
+
 Array = np.ndarray
 
-PRESSURES = np.linspace(10e3, 70e3, 7)
 QUANTITIES = ("tip_deflection", "inflation")
 
-A, B = 4.5e6, 2.5e6
+SECONDS = 10.0
+"""Between the readings of paths that come back."""
 
 
-def lab(count: int = 10) -> list[Design]:
-    """Devices that a lab might make in a week: two batches, varied sizes."""
+@dataclass(frozen=True)
+class Kind:
+    """Devices that a lab makes in a week: two batches, varied sizes.
+
+    Parameters
+    ----------
+    moduli : (2,) tuple, Pa
+    upper, lower : (2,) tuples, m
+        Ranges of the layers' thickness.
+    width : (2,) tuple, m
+        Range of the balloon's width.
+    pressure : float, Pa
+        The last of seven even load steps.
+    unloading : bool
+        Whether paths come back, by six steps, with times.
+    """
+
+    moduli: tuple[float, float]
+    upper: tuple[float, float]
+    lower: tuple[float, float]
+    width: tuple[float, float]
+    pressure: float
+    unloading: bool
+
+
+KINDS = {
+    # Small strains: geometry, supports and moduli show.
+    "stiff": Kind(
+        moduli=(4.5e6, 2.5e6),
+        upper=(75e-6, 130e-6),
+        lower=(110e-6, 170e-6),
+        width=(0.8e-3, 1.3e-3),
+        pressure=70e3,
+        unloading=False,
+    ),
+    # Large strains and back again: laws, histories and the supply show.
+    "soft": Kind(
+        moduli=(1.4e6, 1.0e6),
+        upper=(70e-6, 110e-6),
+        lower=(140e-6, 220e-6),
+        width=(1.4e-3, 2.0e-3),
+        pressure=25e3,
+        unloading=True,
+    ),
+}
+
+
+def devices_of(kind: Kind, count: int) -> list[Design]:
+    """The first `count` devices of a lab."""
     rng = np.random.default_rng(20)
+    a, b = kind.moduli
     designs = []
     for i in range(count):
-        upper, lower = ((B, A), (A, B), (A, A), (B, B))[i % 4]
+        upper, lower = ((b, a), (a, b), (a, a), (b, b))[i % 4]
         designs.append(
             Design.from_sample(
                 {
@@ -46,11 +97,11 @@ def lab(count: int = 10) -> list[Design]:
                     "wall": 0.2e-3,
                     "balloon_start": 1e-3 * rng.uniform(0.8, 1.5),
                     "tip_margin": 1.25e-3,
-                    "balloon_width": 1e-3 * rng.uniform(0.8, 1.3),
+                    "balloon_width": 1e-3 * rng.uniform(*1e3 * np.array(kind.width)),
                     "rim": 0.5e-3,
                     "cavity_height": 75e-6,
-                    "upper_thickness": 1e-6 * round(rng.uniform(75, 130)),
-                    "lower_thickness": 1e-6 * round(rng.uniform(110, 170)),
+                    "upper_thickness": _whole(rng.uniform(*1e6 * np.array(kind.upper))),
+                    "lower_thickness": _whole(rng.uniform(*1e6 * np.array(kind.lower))),
                     "upper_modulus": upper,
                     "lower_modulus": lower,
                 }
@@ -59,11 +110,15 @@ def lab(count: int = 10) -> list[Design]:
     return designs
 
 
-def loaded(design: Design, name: str, unloading: bool) -> Curve:
-    """An empty curve of a device: load steps, and noise to be set."""
-    pressure = PRESSURES
+def _whole(micrometres: float) -> float:
+    return 1e-6 * round(micrometres)
+
+
+def empty(design: Design, name: str, kind: Kind) -> Curve:
+    """A curve of a device without readings: load steps, and noise to be set."""
+    pressure = np.linspace(kind.pressure / 7, kind.pressure, 7)
     branch = ["loading"] * len(pressure)
-    if unloading:
+    if kind.unloading:
         pressure = np.concatenate([pressure, pressure[-2::-1]])
         branch += ["unloading"] * (len(pressure) - len(branch))
     steps = len(pressure)
@@ -73,7 +128,7 @@ def loaded(design: Design, name: str, unloading: bool) -> Curve:
         orientation=0.0,
         design=design,
         load=pressure,
-        time=10.0 * np.arange(1, steps + 1) if unloading else None,
+        time=SECONDS * np.arange(1, steps + 1) if kind.unloading else None,
         branch=np.array(branch),
         outputs=QUANTITIES,
         values=np.ones((steps, len(QUANTITIES))),
@@ -100,35 +155,36 @@ class Lab:
     ----------
     solver : Solver
     devices : int
-    unloading : bool
-        Whether the paths come back, with times.
+    kind : str
+        Of `KINDS`.
     effects : sequence of str, optional
     """
 
     solver: Solver
     devices: int = 10
-    unloading: bool = False
+    kind: str = "stiff"
     effects: Sequence[str] | None = None
 
     @cached_property
     def study(self) -> Study:
+        kind = KINDS[self.kind]
         curves = tuple(
-            loaded(design, f"D{i + 1}", self.unloading)
-            for i, design in enumerate(lab(self.devices))
+            empty(design, f"D{i + 1}", kind)
+            for i, design in enumerate(devices_of(kind, self.devices))
         )
-        study = Study(
+        return Study(
             Measurements(curves),
             self.solver,
             level="draft",
             fast="draft",
             effects=self.effects,
         )
-        return study
 
     def solve(self) -> None:
         """Solve every effect at sizes over its range, as far as paths go."""
         study = self.study
         names = [n for n in study.effects if not study.blind(n)]
+        study.bends(study.tangents(names))
         wanted = [((n,), t) for n in names for t in self.sizes(n)]
         study.solve(wanted, "recovery")
 
@@ -271,13 +327,10 @@ def size_for(
     return off + high * way
 
 
-def rank(lab: Lab, readings: Readings, keep: Sequence[int] | None = None) -> Ranking:
-    """Rank readings with the lab's curves, of some of its devices where `keep`."""
-    study = lab.study
-    one = study.with_readings(readings)
-    if keep is not None:
-        one = one.of_devices(keep)
-    return Search(one, solves=False, details=False).run()
+def rank(lab: Lab, readings: Readings) -> tuple[Ranking, int]:
+    """Rank readings, with the lab's curves in place of solves, and how many of them."""
+    study = Rehearsal.of(lab.study, readings)
+    return Search(study, details=False).run(), study.asked
 
 
 def unnamed_changes(

@@ -22,7 +22,11 @@ def settings(state: Path, wait: float = 20.0) -> Settings:
 
     kinds = {name: Kind(task) for name, task in fakes.KINDS.items()}
     return Settings(
-        state, wait=wait, kinds=kinds, fem_version=lambda level: f"fake-{level}"
+        state,
+        wait=wait,
+        workspace=state / "models",
+        kinds=kinds,
+        fem_version=lambda level: f"fake-{level}",
     )
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .evidence import Prediction
-from .prior import Prior
+from discrepancy.evidence import Prediction
+from discrepancy.prior import Prior
 
 Array = np.ndarray
 

@@ -1,0 +1,190 @@
+"""An adoption with the version it makes, for the command line and for jobs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from discrepancy.adopt import Adoption, joined
+from discrepancy.adopt import adopt as fit
+from discrepancy.folder import effects_of, vacant
+from discrepancy.layout import BASELINE, is_version
+from discrepancy.measurement import Measurements
+from discrepancy.solves import Solver
+from discrepancy.study import Study
+from discrepancy.version import ModelVersion
+from discrepancy.workspace import Workspace, locate, place
+
+from .adoption import adoption_json
+
+
+@dataclass(frozen=True, eq=False)
+class Adopted:
+    """Effects in the model, and the version that was written.
+
+    Parameters
+    ----------
+    made : Adoption
+    version : ModelVersion
+        As it was saved.
+    home : Workspace or None
+        Where it is a version of; None for a folder elsewhere.
+    in_use : bool
+    lineage : tuple of str
+        What it leaves behind of the version it is built on, one line each.
+    page : str
+        The report, one HTML file; empty where none was asked for.
+    """
+
+    made: Adoption
+    version: ModelVersion
+    home: Workspace | None
+    in_use: bool
+    lineage: tuple[str, ...]
+    page: str
+
+    @property
+    def warnings(self) -> list[str]:
+        return [
+            *self.made.study.measurements.warnings,
+            *self.made.warnings,
+            *self.lineage,
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's object of ``pba adopt --json``."""
+        return adoption_json(self.made, self.version) | {
+            "workspace": str(self.home.folder) if self.home else None,
+            "in_use": self.in_use,
+            "warnings": self.warnings,
+        }
+
+
+def adopted(
+    names: Sequence[str],
+    measured: Sequence[Measurements],
+    solving: AbstractContextManager[Solver],
+    *,
+    out: str,
+    on: str = "",
+    workspace: Path | None = None,
+    effects_dir: Path | None = None,
+    level: str = "standard",
+    use: bool = True,
+    report: bool = False,
+    seed: int = 0,
+    again: bool = False,
+) -> Adopted:
+    """Put effects into the model, fitted to measurements, as a new version.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Effects, in the ladder's order.
+    measured : sequence of Measurements
+        Each with its own devices.
+    solving : context manager of Solver
+        Entered when there is something to be solved.
+    out : str
+        Folder of the version, or its bare name in the workspace.
+    on : str
+        A version whose effects are kept and fitted together with these.
+    workspace : Path, optional
+        The default one where it is not given.
+    effects_dir : Path, optional
+        Of the user's own effects.
+    level : str
+        Mesh of the baseline.
+    use : bool
+        Whether to put it into use in its workspace.
+    report : bool
+        Whether to write the report's page.
+    seed : int
+        Of the samples.
+    again : bool
+        Whether a version that was made in just this way may be there already: a job
+        that was killed after it had written it, and is run once more.
+
+    Raises
+    ------
+    EffectError, InputError, FileError
+        When something is not allowed; nothing is written then.
+    """
+    everything = joined(measured)
+    parent = ModelVersion.load(locate(on, workspace)) if on else None
+    names = _all(names, parent)
+    folder, home = place(out, workspace)
+    if home is not None:
+        home.make()
+    written = None
+    if again and is_version(folder):
+        written = _same(ModelVersion.load(folder), names, measured, level, seed)
+    if written is None:
+        vacant(folder)
+    lineage = _lineage(parent, measured)
+    with effects_of(parent, effects_dir) as own, solving as solver:
+        study = Study(everything, solver, level=level, effects=names, effects_dir=own)
+        made = fit(study, names, seed)
+        version = written or ModelVersion.of(
+            made,
+            parent=BASELINE if parent is None else parent.version,
+            files=measured,
+            date=datetime.now(UTC).isoformat(timespec="seconds"),
+        ).save(folder, own)
+        page = _page(study, made, version, lineage) if report else ""
+    if home is not None and use:
+        home.use(folder.name)
+    return Adopted(made, version, home, home is not None and use, tuple(lineage), page)
+
+
+def _same(
+    version: ModelVersion,
+    names: Sequence[str],
+    measured: Sequence[Measurements],
+    level: str,
+    seed: int,
+) -> ModelVersion | None:
+    """The version, if it was made from these; else None."""
+    alike = (
+        version.effects == tuple(names)
+        and [one.sha256 for one in version.measurements]
+        == [one.sha256 for one in measured]
+        and (version.level, version.seed) == (level, seed)
+        and version.tolerances == measured[0].tolerances
+    )
+    return version if alike else None
+
+
+def _page(
+    study: Study, made: Adoption, version: ModelVersion, lineage: Sequence[str]
+) -> str:
+    from discrepancy.adopt_report import adopt_report
+    from discrepancy.sharpen import sharpen
+
+    return adopt_report(made, version, sharpen(study, made.fit), lineage)
+
+
+def _all(names: Sequence[str], parent: ModelVersion | None) -> list[str]:
+    """The parent's effects, then the new ones; those named again are fitted again."""
+    kept = [] if parent is None else list(parent.effects)
+    return kept + [name for name in names if name not in kept]
+
+
+def _lineage(
+    parent: ModelVersion | None, measured: Sequence[Measurements]
+) -> list[str]:
+    """What a version leaves behind of the one it is built on, one line each."""
+    if parent is None:
+        return []
+    given = {one.sha256 for one in measured}
+    lost = [one.name for one in parent.measurements if one.sha256 not in given]
+    if not lost:
+        return []
+    return [
+        f"{', '.join(lost)}, which the parent was fitted to, is not among these files: "
+        "everything is fitted to these alone"
+    ]

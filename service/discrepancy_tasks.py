@@ -1,0 +1,101 @@
+"""Jobs on measurements: compare, rank, adopt; from JSON to JSON.
+
+A payload holds the file, its tolerances as in `discrepancy.measurement.Tolerances`, and
+what the command line's options of the same names say.  Solves are kept in the server's
+state folder: a job that was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .workers import Report
+
+if TYPE_CHECKING:
+    from discrepancy.measurement import Measurements
+    from discrepancy.solves import Progress, Solver
+
+
+@contextmanager
+def _solver(payload: Mapping[str, Any], report: Report) -> Iterator[Solver]:
+    from discrepancy.solves import Solver
+
+    from .discrepancy import cores
+
+    def update(now: Progress) -> None:
+        report({"what": now.what, "done": now.done, "total": now.total})
+
+    with Solver(cores(), Path(payload["cache"]), update) as solver:
+        yield solver
+
+
+def _measured(payload: Mapping[str, Any]) -> Measurements:
+    from discrepancy.measurement import Tolerances
+    from discrepancy.reading import read_measurements
+
+    return read_measurements(payload["file"], Tolerances(**payload["tolerances"]))
+
+
+def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """The object of ``pba compare --json``."""
+    from discrepancy.compare import compare as hold
+    from discrepancy.study import Study
+
+    from .comparison import comparison_json
+
+    level = payload["level"]
+    with _solver(payload, report) as solver:
+        study = Study(_measured(payload), solver, level=level, fast=level, effects=())
+        return comparison_json(hold(study), level)
+
+
+def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """The object of ``pba rank --json``; the report is the job's file."""
+    from .ranked import ranked
+
+    with _solver(payload, report) as solver:
+        found = ranked(
+            _measured(payload),
+            solver,
+            level=payload["level"],
+            effects=payload["effects"],
+            seed=payload["seed"],
+        )
+    return found.to_json() | {"file": _kept(payload, found.page)}
+
+
+def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """The object of ``pba adopt --json``; the report is the job's file.
+
+    A job that was killed after it had written its version finds it there and ends.
+    """
+    from .adopted import adopted
+
+    found = adopted(
+        payload["effects"],
+        [_measured(payload)],
+        _solver(payload, report),
+        out=payload["model"],
+        on=payload["on"],
+        workspace=Path(payload["workspace"]),
+        level=payload["level"],
+        use=payload["use"],
+        report=True,
+        seed=payload["seed"],
+        again=True,
+    )
+    return found.to_json() | {"file": _kept(payload, found.page)}
+
+
+def _kept(payload: Mapping[str, Any], page: str) -> str:
+    """Write a report to where the payload says; the path."""
+    from datagen.atomic import replacing
+
+    out = Path(payload["out"])
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(out) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return str(out)
