@@ -207,7 +207,9 @@ def test_the_order_changes_the_ladder_and_not_the_fit() -> None:
     assert one.ladder[-2].heldout_error == other.ladder[-2].heldout_error
     assert one.ladder[-2].effects == other.ladder[-2].effects[::-1] == EFFECTS
     assert one.ladder[2].name == "+ cure_mismatch" == other.ladder[3].name
-    assert one.ladder[2].heldout_error == adopted("cure_mismatch").heldout_error
+    # Alone its derivatives come from another solve, the same to the solver's tolerance.
+    alone = adopted("cure_mismatch").heldout_error
+    assert one.ladder[2].heldout_error == pytest.approx(alone, rel=1e-5)
 
 
 def test_an_effect_that_does_not_help_is_adopted_and_told() -> None:
