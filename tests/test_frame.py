@@ -18,7 +18,15 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PACKAGES = ("datagen", "surrogate", "discrepancy", "service")
 TEXT = {".py", ".md", ".toml", ".txt", ".sh", ".js", ".css", ".html", ".yml", ""}
-SKIPPED = {"build", "dist", "runs", "workspaces", "node_modules", "__pycache__"}
+SKIPPED = {
+    "build",
+    "dist",
+    "runs",
+    "workspaces",
+    "pba-models",
+    "node_modules",
+    "__pycache__",
+}
 
 PINS = {
     canonicalize_name(name): version

@@ -21,7 +21,7 @@ from discrepancy.ladder import Rung
 from discrepancy.layout import MODEL, is_version
 from discrepancy.version import ModelVersion
 from discrepancy.workspace import CURRENT, Workspace, locate, place
-from tests.discrepancy.versions import OWN, own_folder, own_version, version
+from tests.discrepancy.versions import OWN, estimate, own_folder, own_version, version
 
 # -- the record ----------------------------------------------------------------------
 
@@ -80,6 +80,14 @@ def test_the_model_has_the_effects_at_their_means() -> None:
     assert np.array_equal(growth, wanted.problem(named_device("S1")).growth)
     more = made.forward("standard", {"self_weight": {"density": 1000.0}})
     assert more.level == "standard" and more.effects == ("cure_mismatch", "self_weight")
+    heavy = version(
+        effects=("self_weight",),
+        estimates=(estimate("self_weight.density", 900.0, 10.0),),
+        mean=np.array([900.0]),
+        sources={},
+    )
+    turned = heavy.forward(more={"self_weight": {"orientation": 3.0}})
+    assert turned.parameters == {"self_weight": {"density": 900.0, "orientation": 3.0}}
     sample = made.parameters(made.samples[0])
     assert sample == {"cure_mismatch": {"difference": pytest.approx(-0.00051)}}
 
@@ -228,7 +236,7 @@ def test_use_and_undo(home: Workspace) -> None:
 
 
 def test_remove_keeps_what_is_needed(home: Workspace) -> None:
-    for name in ("c", "b", "c", "a"):
+    for name in ("b", "c", "b", "a"):
         home.use(name)
     with pytest.raises(InputError, match="not in use"):
         home.remove("a")

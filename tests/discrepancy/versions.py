@@ -51,7 +51,8 @@ def own_folder(folder: Path, text: str = OWN) -> Path:
     return folder
 
 
-def _estimate(name: str, value: float, std: float) -> Estimate:
+def estimate(name: str, value: float, std: float) -> Estimate:
+    """A parameter that is known so well."""
     return Estimate(
         name=name,
         unit="1",
@@ -73,7 +74,7 @@ def version(difference: float = -0.0005, **changes: Any) -> ModelVersion:
     made = ModelVersion(
         parent="baseline",
         effects=("cure_mismatch",),
-        estimates=(_estimate("cure_mismatch.difference", difference, std),),
+        estimates=(estimate("cure_mismatch.difference", difference, std),),
         mean=np.array([difference]),
         covariance=np.array([[std**2]]),
         samples=difference + std * np.linspace(-1, 1, 5)[:, None],
@@ -105,7 +106,7 @@ def own_version(folder: Path) -> ModelVersion:
     name = "shrunk_roof"
     return version(
         effects=(name,),
-        estimates=(_estimate(f"{name}.shrinkage", 0.0005, 1e-5),),
+        estimates=(estimate(f"{name}.shrinkage", 0.0005, 1e-5),),
         mean=np.array([0.0005]),
         sources={name: digest(folder / f"{name}.py")},
         own={name: f"{name}.py"},
