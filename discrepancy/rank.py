@@ -1,11 +1,10 @@
 """Which effect is missing: fit every candidate, weigh them, and say what can be said.
 
-The order of work: derivatives by all effects where they are off, from one solve of each
-curve; a solve along each parameter of effects that have none or turn away from theirs;
-fits with the
-interpolated curves; solves at the best fits of contenders until their curves are known
-there; pairs of the best with every other; probabilities; ties, held-out devices and the
-verdict.
+The order of work: derivatives by all effects where they are off, from a solve or two of
+each curve; a solve along each parameter of effects that have none or turn away from
+theirs; fits with the interpolated curves; solves at the best fits of contenders until
+their curves are known there; pairs of the best with every other; probabilities; ties,
+held-out devices and the verdict.
 """
 
 from __future__ import annotations
@@ -52,7 +51,8 @@ UNSEEN = 0.1
 """Largest change, in noise, of an effect that the readings cannot show."""
 
 GAIN = 6.0
-"""Chi-square that a second effect has to take away for a pair to be weighed."""
+"""Chi-square that an effect has to take away from nothing's to be refined, and a second
+one from the first's for a pair to be weighed."""
 
 ROUNDS, JOINT_ROUNDS, QUICK_ROUNDS = 4, 2, 10
 """Refinements of a contender, of a pair, and of either where solves cost nothing."""
@@ -252,24 +252,26 @@ class Search:
 
     @staticmethod
     def _contenders(fits: Sequence[Fit]) -> list[tuple[Fit, Present]]:
-        """Effects that are near the best, or may be once they are solved."""
+        """Effects that are near the best, or may be once they are solved.
+
+        Where "nothing is missing" is among the fits, those that take little from its
+        misfit stay as they are: more solves would not make them the answer.
+        """
         best = max((one.log_evidence for one in fits), default=0.0)
         least = min((one.misfit for one in fits), default=0.0)
         nothing = next(
-            (one.misfit for one in fits if one.hypothesis.name == "nothing"), least
+            (one.misfit for one in fits if one.hypothesis.name == "nothing"), math.inf
         )
-        return [
-            (one, one.hypothesis)
-            for one in fits
-            if isinstance(one.hypothesis, Present)
-            and (
-                one.log_evidence > best - HOPELESS
-                or (
-                    len(one.hypothesis.nodes) == 1
-                    and nothing - one.misfit > SHARE * (nothing - least)
-                )
-            )
-        ]
+        found = []
+        for one in fits:
+            gain = nothing - one.misfit
+            if not isinstance(one.hypothesis, Present) or gain < GAIN:
+                continue
+            tangent = len(one.hypothesis.nodes) == 1
+            turning = tangent and gain > SHARE * (nothing - least)
+            if turning or one.log_evidence > best - HOPELESS:
+                found.append((one, one.hypothesis))
+        return found
 
     @staticmethod
     def _half_way(one: Fit) -> Array:
