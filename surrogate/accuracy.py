@@ -15,7 +15,7 @@ from datagen.response import Path
 from datagen.units import BY_FIELD
 
 from .ensemble import Ensemble
-from .split import is_test, usable
+from .split import held_out, usable
 
 Array = np.ndarray
 
@@ -187,7 +187,7 @@ def accuracy(ensemble: Ensemble, dataset: Dataset) -> Accuracy:
     ):
         if own != given:
             raise InputError(field, ", ".join(given), ", ".join(own) or "none")
-    rows = np.flatnonzero(is_test(dataset.inputs) & usable(dataset))
+    rows = np.flatnonzero(held_out(dataset) & usable(dataset))
     if not len(rows):
         raise InputError(
             "dataset", f"{len(dataset)} designs", "one with held-out designs in it"

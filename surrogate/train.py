@@ -29,7 +29,8 @@ from .features import (
 from .limit import SETTINGS as LIMIT_SETTINGS
 from .limit import fit_limit
 from .network import FitSettings, Progress, Rows, fit, one_thread
-from .split import folds, is_test, usable
+from .split import folds, usable
+from .split import held_out as is_held_out
 
 if TYPE_CHECKING:
     import torch
@@ -98,7 +99,7 @@ def train(
     InputError
         When the dataset has too few designs, or other outputs than `TERMS`.
     """
-    rows = np.flatnonzero(usable(dataset) & ~is_test(dataset.inputs))
+    rows = np.flatnonzero(usable(dataset) & ~is_held_out(dataset))
     if len(rows) < FEWEST_DESIGNS:
         raise InputError(
             "dataset",
@@ -185,7 +186,7 @@ def _views(data: Dataset) -> list[_View]:
 
 def _with_accuracy(ensemble: Ensemble, dataset: Dataset) -> Ensemble:
     """The ensemble with its accuracy on held-out designs in its description."""
-    if not (is_test(dataset.inputs) & usable(dataset)).any():
+    if not (is_held_out(dataset) & usable(dataset)).any():
         return ensemble
     measured = accuracy(ensemble, dataset).to_json()
     return replace(ensemble, description=ensemble.description | {"accuracy": measured})
