@@ -72,6 +72,9 @@ class ChangeSettings:
     huber: float = 0.3
 
 
+SETTINGS = ChangeSettings()
+
+
 @dataclass(frozen=True, eq=False)
 class Pairs:
     """Paths with effects beside those of their bases, n designs, s load steps.
@@ -163,7 +166,7 @@ def fit_corrected(
     dataset: Dataset,
     increment: Dataset,
     seed: int = 0,
-    settings: ChangeSettings = ChangeSettings(),
+    settings: ChangeSettings = SETTINGS,
     equivalent: Equivalent | None = None,
     samples: Array | None = None,
     progress: Progress | None = None,

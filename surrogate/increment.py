@@ -366,6 +366,26 @@ def _fem_fits(
     return True
 
 
+def increment_tasks(
+    planned: Plan, base: Dataset, level: str, effects_dir: Path | None
+) -> list[PairTask]:
+    """The paths of a plan, in its order."""
+    return [
+        PairTask(
+            row=i,
+            variables=planned.space.names,
+            inputs=tuple(planned.inputs[i].tolist()),
+            effects=planned.effects,
+            level=level,
+            max_pressure=base.max_pressure,
+            sensitivities=True,
+            pressure=_load_steps(base, int(row)),
+            effects_dir=str(effects_dir) if effects_dir else None,
+        )
+        for i, row in enumerate(planned.base_row)
+    ]
+
+
 def solve_increment(
     planned: Plan,
     base: Dataset,
@@ -404,20 +424,7 @@ def solve_increment(
     from datagen.model import GENERATOR_VERSION
 
     level = mesh_of(base) if level is None else level
-    tasks = [
-        PairTask(
-            row=i,
-            variables=planned.space.names,
-            inputs=tuple(planned.inputs[i].tolist()),
-            effects=planned.effects,
-            level=level,
-            max_pressure=base.max_pressure,
-            sensitivities=True,
-            pressure=_load_steps(base, int(row)),
-            effects_dir=str(effects_dir) if effects_dir else None,
-        )
-        for i, row in enumerate(planned.base_row)
-    ]
+    tasks = increment_tasks(planned, base, level, effects_dir)
     manifest = Manifest(
         designs=len(planned),
         seed=planned.seed,
