@@ -24,7 +24,8 @@ from datagen.errors import InputError
 
 from .accuracy import accuracy
 from .calibration import Calibration, calibrate
-from .corrected import Asked, Corrected, ask, changed, evaluate
+from .corrected import Asked, Corrected, ask, evaluate
+from .effect_terms import changed, effect_owners
 from .ensemble import Ensemble
 from .equivalent import Equivalent, same_device
 from .expansion import Expansion
@@ -49,7 +50,7 @@ CHANGE_RIDGE = 0.1
 """Of the constant weights: pairs are few."""
 
 CHANGE_SETTINGS = FitSettings(
-    hidden=(24,), steps=1000, batch=256, rate=2e-3, decay=3.0, check_every=50
+    hidden=(24,), steps=1500, batch=256, rate=2e-3, decay=10.0, check_every=50
 )
 
 
@@ -338,13 +339,12 @@ def _fit_change(
             asked.prepared, asked.base_pressure(pressure), asked.base_limit.pressure
         )
         points.append(own.point)
-        terms.append(changed(own, asked.t).terms)
+        terms.append(changed(own, asked.prepared, asked.t).terms)
         targets.append(difference - _explained(base, asked, pressure))
         known.append(pairs.shared & np.isfinite(difference).all(axis=2))
     own_terms = features(asked.drawn, pressure, asked.drawn_limit.pressure).terms
     scale = path_scale(pairs.before, own_terms, term_owners(effects=False))
-    j = asked.t.shape[1]
-    owner = np.tile(term_owners(effects=True), j)
+    owner = effect_owners(asked.t.shape[1])
     chosen = np.stack(known, axis=1)  # (n, views, s)
     scales = np.broadcast_to(scale[:, None, None], (*chosen.shape, scale.shape[1]))
     scales = scales[chosen]

@@ -29,6 +29,7 @@ from datagen.worker import NO_STEP
 
 from .calibration import ONE_SIGMA, Calibration, Spread
 from .domain import RangeCheck
+from .effect_terms import changed
 from .ensemble import CHUNK, Ensemble, Prediction, design_columns, stacked
 from .equivalent import Equivalent
 from .expansion import Answers, Expansion
@@ -88,28 +89,9 @@ class Asked:
 
     def inputs(self, pressure: Array, some: slice) -> Features:
         """Inputs and terms of the change for some designs at the base's pressures."""
-        return changed(
-            features(self.prepared[some], pressure, self.base_limit.pressure[some]),
-            self.t[some],
-        )
-
-
-def changed(own: Features, t: Array) -> Features:
-    """The same inputs; each term times each coordinate, so that it vanishes at off.
-
-    Parameters
-    ----------
-    own : Features
-        Of n designs at s load steps; k terms.
-    t : (n, j) array
-
-    Returns
-    -------
-    Features
-        With (n, s, j k) terms, those of the first parameter first.
-    """
-    terms = [own.terms * t[:, j, None, None] for j in range(t.shape[1])]
-    return Features(own.point, np.concatenate(terms, axis=2))
+        prepared = self.prepared[some]
+        own = features(prepared, pressure, self.base_limit.pressure[some])
+        return changed(own, prepared, self.t[some])
 
 
 @dataclass(frozen=True, eq=False)
