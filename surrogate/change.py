@@ -46,7 +46,10 @@ ASIDE = 0.1
 SHARES = tuple(np.linspace(0, 1, 11).tolist())
 """Of the networks' answers, from which `shrunk` chooses."""
 
-CHANGE_RIDGE = 0.1
+DEVIATIONS = 2.0
+"""Standard errors by which the networks must be better than nothing."""
+
+CHANGE_RIDGE = 0.3
 """Of the constant weights: pairs are few."""
 
 CHANGE_SETTINGS = FitSettings(
@@ -385,7 +388,8 @@ def shrunk(
     """The networks times the share of each output that helps pairs not seen.
 
     With few pairs what they say of an output can be worse than nothing.  Errors are
-    those of the members that had not seen a pair; the share is one of `SHARES`.
+    those of the members that had not seen a pair; the share is the best of `SHARES`,
+    or 0 where that is not clearly better than nothing.
 
     Returns
     -------
@@ -404,11 +408,10 @@ def shrunk(
                 for share in SHARES
             ]
         )
-        best = costs[costs.mean(axis=1).argmin()]
-        # The least share that is not clearly worse than the best one.
-        behind = costs - best
-        doubt = behind.std(axis=1, ddof=1) / np.sqrt(len(pairs))
-        chosen.append(SHARES[int(np.argmax(behind.mean(axis=1) <= doubt))])
+        best = int(costs.mean(axis=1).argmin())
+        gain = costs[0] - costs[best]  # over nothing
+        doubt = gain.std(ddof=1) / np.sqrt(len(pairs))
+        chosen.append(SHARES[best] if gain.mean() > DEVIATIONS * doubt else 0.0)
     shares = np.array(chosen)
     factor = shares[change.owner]
     return replace(change, base=change.base * factor, unit=change.unit * factor), shares

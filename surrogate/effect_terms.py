@@ -1,8 +1,7 @@
 """What the networks of a change weigh: terms that vanish where the effects are off.
 
-The terms of `features`, each times the coordinate of each parameter.  Of those that
-need no pressure, tip and angle have two closed forms of a cantilever beam in place of a
-mere length.
+The terms of `features` (with those that need no pressure), and two closed forms of a
+cantilever beam for tip and angle, each times the coordinate of each parameter.
 """
 
 from __future__ import annotations
@@ -23,16 +22,9 @@ WEIGHT = 1e4
 """N/m3.  Body force that the second form stands for: about that of silicone."""
 
 
-def _kept() -> Array:
-    """Places of the terms of `features` that are taken over."""
-    owner = term_owners(effects=True)
-    without_pressure = [np.flatnonzero(owner == o)[-1] for o in (TIP, ANGLE)]
-    return np.delete(np.arange(len(owner)), without_pressure)
-
-
 def effect_owners(parameters: int) -> Array:
     """(k,) int array: the output that each term of `changed` belongs to."""
-    own = np.concatenate([term_owners(effects=True)[_kept()], [TIP, TIP, ANGLE, ANGLE]])
+    own = np.concatenate([term_owners(effects=True), [TIP, TIP, ANGLE, ANGLE]])
     return np.tile(own, parameters)
 
 
@@ -54,7 +46,7 @@ def changed(own: Features, prepared: Prepared, t: Array) -> Features:
     """
     n, s, _ = own.terms.shape
     beam = np.broadcast_to(beam_terms(prepared)[:, None], (n, s, 4))
-    terms = np.concatenate([own.terms[..., _kept()], beam], axis=2)
+    terms = np.concatenate([own.terms, beam], axis=2)
     each = [terms * t[:, j, None, None] for j in range(t.shape[1])]
     return Features(own.point, np.concatenate(each, axis=2))
 

@@ -211,6 +211,8 @@ def fit_equivalent(
         except InputError:
             continue
         now = read_device(problem)
+        if design.divisions_x == design.divisions_y == 1:
+            now["wall"] = np.nan  # there is none
         was = {"gain": 1.0, "offset": 0.0, **values}
         kept.append(row)
         before.append([was[name] for name in READ])
@@ -228,21 +230,21 @@ def _fit(features: Array, before: Array, after: Array) -> Equivalent:
     weights = np.zeros((len(READ), features.shape[1]))
     logarithmic = np.zeros(len(READ), dtype=bool)
     for i, name in enumerate(READ):
+        known = np.isfinite(after[:, i])
+        was, now, rows = before[known, i], after[known, i], features[known]
         size = _size(name)
-        difference = (after[:, i] - before[:, i]) / size
-        if np.abs(difference).max() < 1e-9:
+        difference = (now - was) / size
+        if np.abs(difference).max(initial=0.0) < 1e-9:
             continue
         forms = [(False, difference)]
-        if (before[:, i] > 0).all() and (after[:, i] > 0).all():
-            forms.append((True, np.log(after[:, i] / before[:, i])))
+        if (was > 0).all() and (now > 0).all():
+            forms.append((True, np.log(now / was)))
         best = np.inf
         for kind, wanted in forms:
-            found = np.linalg.lstsq(features, wanted, rcond=1e-10)[0]
-            error = features @ found
-            error = (
-                before[:, i] * np.exp(error) if kind else before[:, i] + size * error
-            )
-            worst = float(np.abs(error - after[:, i]).max())
+            found = np.linalg.lstsq(rows, wanted, rcond=1e-10)[0]
+            change = rows @ found
+            predicted = was * np.exp(change) if kind else was + size * change
+            worst = float(np.abs(predicted - now).max())
             if worst < best:
                 best, weights[i], logarithmic[i] = worst, found, kind
     return Equivalent(weights, logarithmic)
