@@ -100,6 +100,10 @@ def test_networks_learn_what_no_device_does(
     assert errors["bending_angle"]["median_pct"] < (
         0.35 * errors["bending_angle"]["size_pct"]
     )
+    some = designs(30, 6)
+    turned = model.with_parameters({"tilt": {"angle": 0.15}})
+    moved = turned(some, [PATH] * 30).values - ensemble(some, [PATH] * 30).values
+    assert np.median(np.abs(moved[..., 1] - 0.15)) < 0.35 * 0.15
     # What it does not touch is left alone.
     assert errors["inflation"]["median_pct"] < 0.1
     assert model.description["accuracy"]["n_test"] == 12
@@ -132,6 +136,33 @@ def test_limit_pressure_shifts(model: Corrected, ensemble: Ensemble) -> None:
     )
     np.testing.assert_allclose(after.pressure / before.pressure, 0.8, rtol=0.03)
     assert (after.std >= before.std * (1 - 1e-12)).all()
+
+
+def test_pressure_of_the_equivalent_device(
+    model: Corrected, ensemble: Ensemble
+) -> None:
+    """A gauge that reads wrong: the base at the true pressure, and its limit read."""
+    weights = np.zeros_like(model.equivalent.weights)
+    logarithmic = np.zeros_like(model.equivalent.logarithmic)
+    weights[READ.index("gain"), 0] = 0.2  # t = -1: gain 0.8
+    weights[READ.index("offset"), 0] = -0.3  # 3 kPa
+    equal = replace(
+        model,
+        equivalent=Equivalent(weights, logarithmic),
+        change=replace(
+            model.change, base=0 * model.change.base, unit=0 * model.change.unit
+        ),
+    )
+    some = designs(10, 4)
+    found = at(equal, 0.7, 0.0)
+    true = [LoadPath(0.8 * PATH.pressure + 3e3)] * 10
+    np.testing.assert_allclose(
+        found(some, [PATH] * 10).values, ensemble(some, true).values, rtol=1e-9
+    )
+    limit = ensemble.limit_pressure(some).pressure
+    np.testing.assert_allclose(
+        found.limit_pressure(some).pressure, (limit - 3e3) / 0.8, rtol=1e-9
+    )
 
 
 def test_a_shift_that_no_device_explains() -> None:

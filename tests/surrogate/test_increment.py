@@ -181,12 +181,13 @@ def test_effects_with_time_are_refused() -> None:
 
 
 def test_increment_is_paired(dataset: Dataset, tmp_path: Path) -> None:
-    found = increment(dataset, tmp_path / "soft.h5", "soft", 20, seed=1)
+    found = increment(dataset, tmp_path / "soft.h5", "soft", 60, seed=1)
     assert found.base == dataset.digest()
     again = Dataset.read(tmp_path / "soft.h5")
     assert again.digest() == found.digest()
     pairs = pair(dataset, again)
     factor = again.inputs[:, -1]
+    further = 0
     for i, row in enumerate(again.base_row):
         steps = dataset.steps(int(row))
         np.testing.assert_array_equal(
@@ -197,6 +198,11 @@ def test_increment_is_paired(dataset: Dataset, tmp_path: Path) -> None:
         # Softer layers rise more.
         rise = pairs.difference[i, shared, 2]
         assert (np.sign(rise) == (1 if factor[i] < 1 else -1)).all()
+        # Where the base has turned, a stiffer device goes on towards the same end.
+        assert again.pressure[i][np.isfinite(again.pressure[i])][-1] == 150e3
+        if np.isfinite(dataset.limit_pressure[row]) and factor[i] > 1.05:
+            further += again.steps(i) - steps
+    assert further > 0
     both = np.isfinite(pairs.log_shift)
     assert both.any()
     np.testing.assert_allclose(pairs.log_shift[both], np.log(factor[both]), rtol=1e-6)
