@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 SCHEMA = "pba-dataset"
-SCHEMA_VERSION = 2
-"""Raised whenever an older reader would misread a newer file; 2 brought derivatives.
+SCHEMA_VERSION = 3
+"""Raised whenever an older reader would misread a newer file.
 
-A dataset without derivatives is still written as version 1, which is the same then.
+2 brought derivatives, 3 pairs; what has neither is still written as version 1, which
+is the same then.
 """
 
 LONG_NAMES = {
@@ -120,6 +121,10 @@ class Dataset:
     jacobian : (n, s, m, k) array, SI, or None
         Derivatives at fixed gauge pressure; NaN at limit points, in rows without
         derivatives and where a step was not reached.
+    base : str
+        Digest of the dataset whose rows the paths are paired with; empty without.
+    base_row : (n,) int array or None
+        Row there of the same design, whose pressures are among those of the path.
 
     Raises
     ------
@@ -145,6 +150,8 @@ class Dataset:
     sensitivities: int = 0
     parameters: tuple[str, ...] = ()
     jacobian: Array | None = None
+    base: str = ""
+    base_row: Array | None = None
 
     def __post_init__(self) -> None:
         for name in ("inputs", "pressure", "values", "limit_pressure"):
@@ -164,6 +171,12 @@ class Dataset:
             raise InputError("parameters", len(self.parameters), "those of jacobian")
         if self.jacobian is not None:
             shapes["jacobian"] = (n, s, m, len(self.parameters))
+        if (self.base_row is None) != (not self.base):
+            raise InputError("base", self.base, "a digest where rows are paired")
+        if self.base_row is not None:
+            rows = np.asarray(self.base_row, dtype=np.int64)
+            object.__setattr__(self, "base_row", rows)
+            shapes["base_row"] = (n,)
         for name, shape in shapes.items():
             given = np.shape(getattr(self, name))
             if given != shape:
@@ -230,6 +243,7 @@ class Dataset:
         return replace(
             self,
             jacobian=slopes,
+            base_row=None if self.base_row is None else self.base_row[chosen],
             sensitivities=int((chosen < self.sensitivities).sum()),
             path_status=tuple(self.path_status[i] for i in chosen),
             message=tuple(self.message[i] for i in chosen),
@@ -257,6 +271,9 @@ class Dataset:
             add(f"jacobian {clean.shape}", clean.astype("<f8").tobytes())
             add("parameters", json.dumps(self.parameters).encode())
             add("sensitivities", json.dumps(self.sensitivities).encode())
+        if self.base_row is not None:
+            add("base_row", self.base_row.astype("<i8").tobytes())
+            add("base", self.base.encode())
         for name in ("variables", "outputs", "path_status", "message", "effects"):
             add(name, json.dumps(getattr(self, name)).encode())
         for name in ("seed", "level", "generator_version", "max_pressure"):
@@ -396,6 +413,13 @@ def space_to_json(space: Space) -> list[dict[str, Any]]:
     return [{name: getattr(p, name) for name in PARAMETER_FIELDS} for p in space]
 
 
+def _version_of(data: Dataset) -> int:
+    """The oldest schema that says all there is."""
+    if data.base_row is not None:
+        return SCHEMA_VERSION
+    return 2 if data.parameters else 1
+
+
 def _write(file: h5py.File, data: Dataset) -> None:
     import h5py
 
@@ -405,7 +429,7 @@ def _write(file: h5py.File, data: Dataset) -> None:
         {
             "title": "Inflation paths of pneumatic balloon actuators",
             "schema": SCHEMA,
-            "schema_version": np.int64(SCHEMA_VERSION if data.parameters else 1),
+            "schema_version": np.int64(_version_of(data)),
             "generator_version": data.generator_version,
             "row_count": np.int64(rows),
             "seed": np.int64(data.seed),
@@ -448,6 +472,10 @@ def _write(file: h5py.File, data: Dataset) -> None:
     for i, p in enumerate(data.space):
         column = np.ascontiguousarray(data.inputs[:, i])
         put(p.name, "design", column, LONG_NAMES.get(p.name, p.name), units=p.unit)
+    if data.base_row is not None:
+        words = "row of the same design in the dataset that the paths are paired with"
+        put("base_row", "design", data.base_row, words)
+        file.attrs["base"] = data.base
     steps_of = "design load_step"
     pressure_words = "gauge pressure of the load step"
     put("pressure", steps_of, data.pressure, pressure_words, units="Pa")
@@ -504,12 +532,17 @@ def _read(file: h5py.File, path: Path) -> Dataset:
                 path, f"{name} has {len(file[name])} rows, row_count says {rows}"
             )
     space = Space(tuple(Parameter(**p) for p in json.loads(attributes["design_space"])))
-    slopes: dict[str, Any] = {}
-    if version > 1:
-        slopes = {
+    more: dict[str, Any] = {}
+    if "sensitivity" in file:
+        more = {
             "sensitivities": int(attributes["sensitivities"]),
             "parameters": _texts(file["parameter"]),
             "jacobian": file["sensitivity"][()],
+        }
+    if "base_row" in file:
+        more |= {
+            "base": str(attributes["base"]),
+            "base_row": file["base_row"][()],
         }
     data = Dataset(
         variables=space.names,
@@ -527,7 +560,7 @@ def _read(file: h5py.File, path: Path) -> Dataset:
         effects=tuple(json.loads(attributes["effects"])),
         generator_version=str(attributes["generator_version"]),
         max_pressure=float(attributes["max_pressure_Pa"]),
-        **slopes,
+        **more,
     )
     if not math.isfinite(data.max_pressure) or data.digest() != attributes["sha256"]:
         raise FileError(path, "damaged: the values do not match their checksum")

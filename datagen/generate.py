@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -149,7 +150,6 @@ def generate(
         raise InputError("max_pressure", max_pressure, "a number above 0", "Pa")
     if scheduler is not None and executor is not None:
         raise InputError("scheduler", scheduler, "no executor beside it")
-    out = Path(out)
     active = tuple(sorted(effects))  # the order of their names changes nothing
     space = sampled_space(active)
     inputs = space.sample(count, seed)
@@ -178,6 +178,50 @@ def generate(
         inputs_sha256=inputs_digest(inputs),
         sensitivities=int(sensitivities),
     )
+    fixed = {"inputs": inputs, "space": space}
+    return solve_all(
+        out,
+        manifest,
+        tasks,
+        fixed,
+        workers=workers,
+        scheduler=scheduler,
+        resume=resume,
+        progress=progress,
+        executor=executor,
+        solve=solve,
+    )
+
+
+def solve_all(
+    out: str | Path,
+    manifest: Manifest,
+    tasks: Sequence[Task],
+    fixed: Mapping[str, Any],
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    resume: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+    executor: Executor | None = None,
+    solve: Solve = solve_row,
+) -> Dataset:
+    """Solve tasks into one HDF5 file; what `generate` says of its run holds here.
+
+    Parameters
+    ----------
+    out : path
+    manifest : Manifest
+        What is solved: a run is resumed only by the same.
+    tasks : sequence of Task
+        One a row, in their order.
+    fixed : mapping
+        Fields of the `Dataset` that neither manifest nor rows carry: `inputs`, `space`
+        and, for paths that are paired, `base_row`.
+    workers, scheduler, resume, progress, executor, solve
+        As in `generate`, and so are the errors.
+    """
+    out = Path(out)
     folder = parts_folder(out)
     for path in (out, folder):
         if path.exists() and not resume:
@@ -196,15 +240,15 @@ def generate(
             )
             data = Dataset.from_rows(
                 rows,
-                variables=space.names,
-                inputs=inputs,
-                space=space,
+                variables=fixed["space"].names,
                 seed=manifest.seed,
-                level=level,
-                effects=active,
-                generator_version=version,
+                level=manifest.level,
+                effects=manifest.effects,
+                generator_version=manifest.generator_version,
                 max_pressure=manifest.max_pressure,
                 sensitivities=manifest.sensitivities,
+                base=manifest.base,
+                **fixed,
             )
             data = parts.publish(data)
         except KeyboardInterrupt:

@@ -41,7 +41,8 @@ class Manifest:
     """What is being generated; a run is resumed only by the same settings.
 
     `inputs_sha256` fixes the sampled designs themselves, which the seed alone does
-    not: another version of scipy may sample otherwise.
+    not: another version of scipy may sample otherwise.  `base` is the digest of the
+    dataset that the paths are paired with.
     """
 
     designs: int
@@ -53,6 +54,7 @@ class Manifest:
     design_space: tuple[Mapping[str, Any], ...]
     inputs_sha256: str
     sensitivities: int = 0
+    base: str = ""
 
     @classmethod
     def of(cls, data: Dataset) -> Manifest:
@@ -67,11 +69,15 @@ class Manifest:
             design_space=tuple(space_to_json(data.space)),
             inputs_sha256=inputs_digest(data.inputs),
             sensitivities=data.sensitivities,
+            base=data.base,
         )
 
     def to_json(self) -> str:
         """One JSON object, keys in the order of the fields."""
-        return json.dumps(asdict(self), indent=1) + "\n"
+        content = asdict(self)
+        if not self.base:  # as before there were pairs
+            del content["base"]
+        return json.dumps(content, indent=1) + "\n"
 
     def fingerprint(self) -> str:
         """SHA-256 that every file of a finished path repeats."""

@@ -14,10 +14,12 @@ from datagen.errors import InputError
 from datagen.response import Path
 from datagen.units import BY_FIELD
 
+from .corrected import Corrected
 from .ensemble import Ensemble
-from .split import is_test, usable
+from .split import held_out, usable
 
 Array = np.ndarray
+Surrogate = Ensemble | Corrected
 
 COVERAGE = 0.9
 """Nominal coverage of the intervals that are judged."""
@@ -173,7 +175,7 @@ def _bench(outputs: dict[str, OutputError]) -> dict[str, dict[str, Any]]:
     return out
 
 
-def accuracy(ensemble: Ensemble, dataset: Dataset) -> Accuracy:
+def accuracy(ensemble: Surrogate, dataset: Dataset) -> Accuracy:
     """Compare with the designs of a dataset that no training has seen.
 
     Raises
@@ -187,7 +189,7 @@ def accuracy(ensemble: Ensemble, dataset: Dataset) -> Accuracy:
     ):
         if own != given:
             raise InputError(field, ", ".join(given), ", ".join(own) or "none")
-    rows = np.flatnonzero(is_test(dataset.inputs) & usable(dataset))
+    rows = np.flatnonzero(held_out(dataset) & usable(dataset))
     if not len(rows):
         raise InputError(
             "dataset", f"{len(dataset)} designs", "one with held-out designs in it"
@@ -243,7 +245,7 @@ class _Points:
         return found
 
 
-def _points(ensemble: Ensemble, data: Dataset) -> _Points:
+def _points(ensemble: Surrogate, data: Dataset) -> _Points:
     """Predict the test designs at their own load steps."""
     n = len(data)
     values = np.zeros_like(data.values)
@@ -307,12 +309,12 @@ def _regions(data: Dataset, points: _Points) -> Iterator[Region]:
     yield from region("limit point", "past 95 % of the limit pressure", near)
 
 
-def _limit(ensemble: Ensemble, data: Dataset) -> LimitError | None:
+def _limit(ensemble: Surrogate, data: Dataset) -> LimitError | None:
     """Errors of the predicted limit pressure."""
     from .domain import LIMIT_DEVIATIONS
 
     met = np.isfinite(data.limit_pressure)
-    if not met.any() or ensemble.limit.stack is None:
+    if not met.any() or not ensemble.knows_limits:
         return None
     middle, safe = np.empty(len(data)), np.empty(len(data))
     for i in range(len(data)):

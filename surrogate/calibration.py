@@ -195,6 +195,8 @@ def averaging_factor(scores: Array, weight: Array, designs: int, members: int) -
         [design_quantiles(np.abs(s), weight, designs, level)[0] for s in scores]
     )
     together = design_quantiles(np.abs(scores.mean(axis=0)), weight, designs, level)[0]
+    if together == 0:  # nothing there to err about
+        return 1.0
     private = max(alone**2 - together**2, 0.0) / (1 - 1 / r)
     left = together**2 - private * (1 / r - 1 / members)
     # The shared part is never negative.
@@ -232,6 +234,7 @@ def fit_shape(size: Array, spread: Spread, weight: Array) -> Array:
         shape = shape_of(free)
         s = scale(spread, shape[None])[..., 0] / typical
         factor = np.average(size / typical / s, weights=weight)
+        factor = max(factor, np.finfo(float).tiny)  # where there is no error at all
         likelihood = np.average(np.log(s), weights=weight) + np.log(factor)
         # Weak pull towards a plain scale, for small datasets.
         return float(likelihood + 1e-3 * (free[0] ** 2 + free[2] ** 2))

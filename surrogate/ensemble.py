@@ -109,6 +109,11 @@ class Ensemble:
 
         return content_digest(self)[:12]
 
+    @property
+    def knows_limits(self) -> bool:
+        """Whether limit pressures are learned; otherwise they are a closed form."""
+        return self.limit.stack is not None
+
     def with_parameters(
         self, parameters: Mapping[str, Mapping[str, float]]
     ) -> Ensemble:
@@ -122,7 +127,7 @@ class Ensemble:
         self, designs: Sequence[Design], paths: Sequence[LoadPath]
     ) -> Response:
         """Predict each design along its own path; std is one calibrated deviation."""
-        pressure = _stacked(designs, paths)
+        pressure = stacked(designs, paths)
         answers, limit = self._answers(self._prepared(designs), pressure)
         scale = self.calibration.scale(answers.spread)
         return self._response(pressure, answers, scale, limit)
@@ -141,7 +146,7 @@ class Ensemble:
             When the coverage is outside that, or beyond what the number of
             calibration designs supports.
         """
-        pressure = _stacked(designs, paths)
+        pressure = stacked(designs, paths)
         quantile = self.calibration.quantile(coverage)
         answers, limit = self._answers(self._prepared(designs), pressure)
         scale = self.calibration.scale(answers.spread)
@@ -163,6 +168,17 @@ class Ensemble:
         prepared = self._prepared([design])
         answers, limit = self._answers(prepared, pressure[None])
         found = self.domain.check(prepared.columns, pressure, limit)
+        return replace(found, notes=self.notes(answers, pressure))
+
+    def notes(self, answers: Answers, pressure: Array) -> tuple[str, ...]:
+        """Where the members disagree more than they did on unseen designs.
+
+        Parameters
+        ----------
+        answers : Answers
+            About one design.
+        pressure : (s,) array, Pa
+        """
         spread = answers.spread[0]
         size = np.maximum(spread.size, np.finfo(float).tiny)
         ratio = spread.disagreement / size
@@ -176,7 +192,7 @@ class Ensemble:
                     f"{ratio[worst, o]:.1%} of the terms; {most:.1%} is not passed at "
                     "99 % of the points of unseen designs"
                 )
-        return replace(found, notes=tuple(notes))
+        return tuple(notes)
 
     def limit_pressure(self, designs: Sequence[Design]) -> Limit:
         """Predicted limit pressure of each design."""
@@ -204,11 +220,7 @@ class Ensemble:
 
     def _prepared(self, designs: Sequence[Design]) -> Prepared:
         """Designs, with the effects' parameters at their values."""
-        sampled = [
-            [float(getattr(design, name)) for name in DESIGN_SPACE.names]
-            for design in designs
-        ]
-        columns = columns_of(DESIGN_SPACE.names, np.array(sampled))
+        columns = design_columns(designs)
         for parameter in self.space:
             effect, dot, name = parameter.name.rpartition(".")
             if dot:
@@ -219,6 +231,10 @@ class Ensemble:
     def _answers(self, prepared: Prepared, pressure: Array) -> tuple[Answers, Limit]:
         """Answers at (n, s) pressures; NaN where the pressure is."""
         limit = self.limit(prepared)
+        return self.answers(prepared, pressure, limit), limit
+
+    def answers(self, prepared: Prepared, pressure: Array, limit: Limit) -> Answers:
+        """Answers of the members at (n, s) pressures, Pa, up to known limits."""
         nearness = np.abs(pressure) / limit.pressure[:, None]
         some = max(1, CHUNK // pressure.shape[1])
         parts = []
@@ -226,7 +242,7 @@ class Ensemble:
             own = slice(begin, begin + some)
             inputs = features(prepared[own], pressure[own], limit.pressure[own])
             parts.append(self.expansion(inputs, nearness[own]))
-        return Answers.joined(parts), limit
+        return Answers.joined(parts)
 
     def _response(
         self, pressure: Array, answers: Answers, scale: Array, limit: Limit
@@ -253,7 +269,16 @@ def reference_model() -> Ensemble:
     return Ensemble.load(REFERENCE)
 
 
-def _stacked(designs: Sequence[Design], paths: Sequence[LoadPath]) -> Array:
+def design_columns(designs: Sequence[Design]) -> dict[str, Array]:
+    """(n,) arrays of the variables of the design space, SI."""
+    sampled = [
+        [float(getattr(design, name)) for name in DESIGN_SPACE.names]
+        for design in designs
+    ]
+    return columns_of(DESIGN_SPACE.names, np.array(sampled))
+
+
+def stacked(designs: Sequence[Design], paths: Sequence[LoadPath]) -> Array:
     """(n, s) pressures, padded with NaN."""
     if len(designs) != len(paths) or not designs:
         raise InputError(

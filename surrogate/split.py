@@ -37,6 +37,16 @@ def is_test(inputs: Array) -> Array:
     return np.array(shares) < TEST_SHARE
 
 
+def held_out(dataset: Dataset) -> Array:
+    """(n,) bool.  Rows of designs that no training sees, with effects or without.
+
+    The design alone decides: a path with an effect in it is held out where the same
+    design without it is.
+    """
+    design = [i for i, name in enumerate(dataset.variables) if "." not in name]
+    return is_test(dataset.inputs[:, design])
+
+
 def usable(dataset: Dataset) -> Array:
     """(n,) bool.  Designs with at least one converged step."""
     return np.array([dataset.steps(i) > 0 for i in range(len(dataset))])

@@ -132,7 +132,7 @@ def read(folder: Path) -> Ensemble:
 
     path = folder / MODEL
     try:
-        model = json.loads(_bytes(path))
+        model = json.loads(bytes_of(path))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise FileError(path, f"not JSON: {error}") from error
     if not isinstance(model, dict) or model.get("schema") != SCHEMA:
@@ -147,7 +147,7 @@ def read(folder: Path) -> Ensemble:
                 f"{key.replace('_', ' ')} {model.get(key)}; this program has {own}: "
                 "train the model again",
             )
-    weights = _bytes(folder / WEIGHTS)
+    weights = bytes_of(folder / WEIGHTS)
     if hashlib.sha256(weights).hexdigest() != model.get("weights_sha256"):
         raise FileError(
             folder / WEIGHTS, f"damaged, or not the weights that {MODEL} names"
@@ -165,36 +165,41 @@ def read(folder: Path) -> Ensemble:
 
 
 def _build(model: dict[str, Any], arrays: dict[str, Array]) -> Ensemble:
-    def part(prefix: str) -> dict[str, Array]:
-        cut = len(prefix) + 1
-        return {k[cut:]: v for k, v in arrays.items() if k.startswith(f"{prefix}.")}
-
     outputs = tuple(str(name) for name in model["outputs"])
     space = Space(tuple(Parameter(**p) for p in model["space"]))
-    limit = part("limit")
+    limit = part(arrays, "limit")
     return Ensemble(
         outputs=outputs,
         space=space,
         effects=tuple(str(name) for name in model["effects"]),
-        expansion=Expansion(Stack.from_arrays(part("response")), **part("terms")),
+        expansion=Expansion(
+            Stack.from_arrays(part(arrays, "response")), **part(arrays, "terms")
+        ),
         limit=LimitModel(
             Stack.from_arrays(limit) if limit else None, float(model["limit_shift"])
         ),
         calibration=Calibration(
-            designs=int(model["calibration_designs"]), **part("calibration")
+            designs=int(model["calibration_designs"]), **part(arrays, "calibration")
         ),
         domain=Domain(
             space=space,
             max_pressure=float(model["max_pressure_Pa"]),
             allowed_distance=float(model["allowed_distance"]),
-            **part("domain"),
+            **part(arrays, "domain"),
         ),
         description=dict(model["description"]),
         parameters=model["parameters"],
     )
 
 
-def _bytes(path: Path) -> bytes:
+def part(arrays: dict[str, Array], prefix: str) -> dict[str, Array]:
+    """Arrays whose name begins with ``prefix.``, by the rest of it."""
+    cut = len(prefix) + 1
+    return {k[cut:]: v for k, v in arrays.items() if k.startswith(f"{prefix}.")}
+
+
+def bytes_of(path: Path) -> bytes:
+    """Content of a file, or a `FileError`."""
     if not path.exists():
         raise FileError(path, "does not exist")
     try:

@@ -29,7 +29,8 @@ from .features import (
 from .limit import SETTINGS as LIMIT_SETTINGS
 from .limit import fit_limit
 from .network import FitSettings, Progress, Rows, fit, one_thread
-from .split import folds, is_test, usable
+from .split import folds, usable
+from .split import held_out as is_held_out
 
 if TYPE_CHECKING:
     import torch
@@ -45,6 +46,9 @@ SCALE_FLOOR = 0.02
 Errors are measured against each path's maximum; where large terms cancel along the
 whole path that maximum is so small that it would drown every other path.
 """
+
+RIDGE = 1e-3
+"""Of the constant weights: enough against terms that say the same."""
 
 RESPONSE_SETTINGS = FitSettings()
 
@@ -98,7 +102,7 @@ def train(
     InputError
         When the dataset has too few designs, or other outputs than `TERMS`.
     """
-    rows = np.flatnonzero(usable(dataset) & ~is_test(dataset.inputs))
+    rows = np.flatnonzero(usable(dataset) & ~is_held_out(dataset))
     if len(rows) < FEWEST_DESIGNS:
         raise InputError(
             "dataset",
@@ -185,7 +189,7 @@ def _views(data: Dataset) -> list[_View]:
 
 def _with_accuracy(ensemble: Ensemble, dataset: Dataset) -> Ensemble:
     """The ensemble with its accuracy on held-out designs in its description."""
-    if not (is_test(dataset.inputs) & usable(dataset)).any():
+    if not (is_held_out(dataset) & usable(dataset)).any():
         return ensemble
     measured = accuracy(ensemble, dataset).to_json()
     return replace(ensemble, description=ensemble.description | {"accuracy": measured})
@@ -217,9 +221,7 @@ def _fit_response(
     settings: TrainSettings,
     progress: Progress | None,
 ) -> tuple[Expansion, dict[str, Any]]:
-    """Fit constant weights of the terms, then the networks on top of them."""
-    import torch
-
+    """Fit the networks for the outputs on the designs and their mirror images."""
     effects = bool(data.effects)
     owner, positive = term_owners(effects), positive_terms(effects)
     converged = data.status == 0
@@ -238,14 +240,76 @@ def _fit_response(
     terms = np.stack([own.terms for own in inputs], axis=1)[chosen] / scale[:, owner]
     point = np.stack([own.point for own in inputs], axis=1)[chosen]
     count = len(views) * converged.sum(axis=1)
-    weight = 1 / count[place[0]]
+    return fit_terms(
+        point,
+        terms,
+        target,
+        count,
+        (owner, positive),
+        held_out,
+        seed,
+        settings.response,
+        settings.huber,
+        "response",
+        progress,
+    )
+
+
+def fit_terms(
+    point: Array,
+    terms: Array,
+    target: Array,
+    count: Array,
+    roles: tuple[Array, Array],
+    held_out: Array,
+    seed: int,
+    settings: FitSettings,
+    huber: float,
+    stage: str,
+    progress: Progress | None,
+    ridge: float = RIDGE,
+) -> tuple[Expansion, dict[str, Any]]:
+    """Fit constant weights of the terms, then the networks on top of them.
+
+    Parameters
+    ----------
+    point : (N, f) array
+        Inputs of the networks; rows of a design stand one after another.
+    terms : (N, k) array
+        Each over the scale of its output.
+    target : (N, m) array
+        Over the same scales.
+    count : (d,) int array
+        Rows of each design.
+    roles : (k,) int array and (k,) bool array
+        The output that owns each term, and whether its weight is positive.
+    held_out : (M, d) bool array
+    seed : int
+    settings : FitSettings
+    huber : float
+        Error, over the scale, from which on it counts linearly.
+    stage, progress
+        As in `fit`.
+    ridge : float
+        Of the constant weights, over the mean square of each term.
+    """
+    import torch
+
+    owner, positive = roles
+    weight = 1 / np.repeat(count, count)
     # In units in which a change of a weight by 1 changes the error by about 1.
-    unit = 1 / np.sqrt(np.average(terms**2, axis=0, weights=weight))
-    terms *= unit
+    size = np.average(terms**2, axis=0, weights=weight)
+    # A term that is nothing everywhere stays nothing.
+    unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+    terms = terms * unit
     start = np.concatenate(
         [
             _constant_weights(
-                terms[:, owner == o], target[:, o], weight, positive[owner == o].any()
+                terms[:, owner == o],
+                target[:, o],
+                weight,
+                positive[owner == o].any(),
+                ridge,
             )
             for o in range(target.shape[1])
         ]
@@ -262,26 +326,26 @@ def _fit_response(
         held = answers.clamp(-LARGEST_LOG, LARGEST_LOG)
         weights = torch.where(grows, base * torch.exp(held), base + answers)
         error = (weights * parts[picked]) @ gather - wanted[picked]
-        huber = torch.nn.functional.huber_loss(
-            error, torch.zeros_like(error), delta=settings.huber, reduction="none"
+        each = torch.nn.functional.huber_loss(
+            error, torch.zeros_like(error), delta=huber, reduction="none"
         )
-        return huber.sum(dim=-1) / settings.huber
+        return each.sum(dim=-1) / huber
 
     stack, report = fit(
         point,
         Rows(np.cumsum(count) - count, count, held_out),
         len(owner),
         loss,
-        settings.response,
+        settings,
         seed,
-        "response",
+        stage,
         progress,
     )
     return Expansion(stack, start * unit, unit, positive, owner), report
 
 
 def _constant_weights(
-    terms: Array, target: Array, weight: Array, positive: bool
+    terms: Array, target: Array, weight: Array, positive: bool, ridge: float
 ) -> Array:
     """Weighted least squares for the terms of one output.
 
@@ -294,8 +358,9 @@ def _constant_weights(
         together = a.sum(axis=1)
         return np.full(terms.shape[1], (together @ b) / (together @ together))
     normal = a.T @ a
-    ridge = 1e-3 * np.diag(np.diag(normal))
-    solution: Array = np.linalg.solve(normal + ridge, a.T @ b)
+    diagonal = np.diag(normal)
+    more = np.diag(np.where(diagonal > 0, ridge * diagonal, 1.0))
+    solution: Array = np.linalg.solve(normal + more, a.T @ b)
     return solution
 
 

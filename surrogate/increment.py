@@ -1,0 +1,467 @@
+"""An increment: paths with effects in them, each paired with a path of the base.
+
+The base dataset has no effects.  A path of the increment is one of its designs, solved
+again with effects at values of their parameters, on the same mesh and at the same
+pressures, so that the difference of the two paths is what the effects do and nothing
+else: no change of mesh, no interpolation.  Derivatives by the effects' parameters come
+along for a few percent of a path's cost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from datagen.dataset import Dataset, space_to_json
+from datagen.device import DESIGN_SPACE, Design
+from datagen.errors import InputError
+from datagen.generate import Progress, solve_all
+from datagen.parts import Manifest, inputs_digest
+from datagen.space import Parameter, Space
+from datagen.worker import PROPER_ENDS, Row, Solve, Task, split_inputs
+
+from .features import columns_of, groups
+from .split import held_out
+
+Array = np.ndarray
+Values = Mapping[str, Mapping[str, float]]
+"""``{effect: {parameter: value}}``, SI."""
+
+FEWEST_STEPS = 3
+"""A base path with fewer converged steps says too little to be paired with."""
+
+TEST_PATHS = 0.2
+"""Share of the paths whose designs neither the base nor the increment trains on."""
+
+NEAR_PATHS = 0.3
+"""Share of the training paths whose designs are the nearest to given ones."""
+
+EVEN_STEPS = 8
+"""Even load steps to the highest pressure: where a path goes on past its base's end."""
+
+Fits = Callable[[Design, Values], bool]
+"""Whether effects at these values can act on a design."""
+
+
+@dataclass(frozen=True)
+class PairTask(Task):
+    """One path of an increment to be solved.
+
+    Parameters
+    ----------
+    pressure : tuple of s float, Pa
+        Load steps: those of the base's path, and on from its end.
+    effects_dir : str or None
+        Folder with a user's own effects.
+    """
+
+    pressure: tuple[float, ...] = ()
+    effects_dir: str | None = None
+
+
+def solve_pair(task: Task) -> Row:
+    """Solve a `PairTask` with the finite elements, derivatives included."""
+    from datagen.model import Model
+    from datagen.response import Path as LoadPath
+
+    if not isinstance(task, PairTask):
+        raise InputError("task", type(task).__name__, "a PairTask")
+    design, parameters = task.split()
+    folder = Path(task.effects_dir) if task.effects_dir else None
+    model = Model(task.effects, task.level, parameters, folder)
+    by = [name for name in task.variables if "." in name]
+    response = model(
+        [Design.from_sample(design)],
+        [LoadPath(np.array(task.pressure))],
+        sensitivities=by,
+    )
+    return Row.from_response(task.row, response)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Which designs an increment solves again, and at which parameters.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        By name.
+    space : Space
+        The base's variables, then ``effect.parameter`` over the stated ranges.
+    base_row : (n,) int array
+    inputs : (n, d) array, SI
+        In the order of `space`.
+    seed : int
+    unfit : int
+        Designs passed over because the effects cannot act on them.
+    """
+
+    effects: tuple[str, ...]
+    space: Space
+    base_row: Array
+    inputs: Array
+    seed: int
+    unfit: int
+
+    def __len__(self) -> int:
+        return len(self.base_row)
+
+
+def mesh_of(base: Dataset) -> str:
+    """Mesh level on which a dataset is solved again, whatever generator it is of.
+
+    Raises
+    ------
+    InputError
+        When this program has not got the mesh of that generator.
+    """
+    from datagen.mesh import FORMER
+    from datagen.model import GENERATOR_VERSION
+
+    if base.generator_version == GENERATOR_VERSION:
+        return base.level
+    former = f"{base.level}-{base.generator_version}"
+    if former not in FORMER:
+        raise InputError(
+            "dataset",
+            f"generator {base.generator_version}, mesh {base.level}",
+            f"generator {GENERATOR_VERSION}, or mesh {', '.join(FORMER)}",
+        )
+    return former
+
+
+def stated_range(
+    parameter: Parameter, value: float, std: float, deviations: float = 3.0
+) -> tuple[float, float]:
+    """Range around a fitted value over which its effect is learned.
+
+    So many standard deviations to each side, at least a tenth of the declared range,
+    inside the declared range; and on to `off` where that is no further away than the
+    range is wide, so that the effect is learned from nothing on.
+
+    Parameters
+    ----------
+    parameter : Parameter
+        As the effect declares it.
+    value, std : float, SI
+    """
+    if not (math.isfinite(value) and math.isfinite(std) and std >= 0):
+        raise InputError(parameter.name, (value, std), "finite, and std 0 or more")
+    half = max(deviations * std, 0.1 * (parameter.upper - parameter.lower))
+    middle = min(max(value, parameter.lower), parameter.upper)
+    lower = max(parameter.lower, middle - half)
+    upper = min(parameter.upper, middle + half)
+    off, width = parameter.off, upper - lower
+    if off is not None and lower - width <= off <= upper + width:
+        lower, upper = min(lower, off), max(upper, off)
+    return lower, upper
+
+
+def ranged_space(
+    effects: Sequence[str],
+    ranges: Mapping[str, tuple[float, float]],
+    effects_dir: Path | None = None,
+) -> Space:
+    """The design space, then each parameter of the effects over its stated range.
+
+    Raises
+    ------
+    EffectError
+        When an effect is unknown.
+    InputError
+        When there is no effect, a range is missing, not of these effects, empty, or
+        outside what the effect declares.
+    """
+    from datagen.model import Model
+
+    if not effects:
+        raise InputError("effects", "", "at least one")
+    whole = Model(tuple(effects), effects_dir=effects_dir).space
+    declared = [p for p in whole if "." in p.name]
+    known = ", ".join(p.name for p in declared)
+    for name in ranges:
+        if name not in whole.names or "." not in name:
+            raise InputError("range", name, known)
+    found = []
+    for parameter in declared:
+        if parameter.name not in ranges:
+            raise InputError("range", parameter.name, f"one for each of {known}")
+        lower, upper = (parameter.check(end) for end in ranges[parameter.name])
+        found.append(replace(parameter, lower=lower, upper=upper))
+    return Space(DESIGN_SPACE.parameters + tuple(found))
+
+
+def plan(
+    base: Dataset,
+    space: Space,
+    paths: int,
+    seed: int,
+    near: Sequence[Design] = (),
+    fits: Fits | None = None,
+) -> Plan:
+    """Choose designs of the base and values of the parameters.
+
+    Designs are those that stand best for all the others (greedy facility location), a
+    stated share of them nearest to given ones; `TEST_PATHS` of them are designs that
+    the base has held out.  A design comes twice only when there are no more.
+
+    Parameters
+    ----------
+    base : Dataset
+        Without effects.
+    space : Space
+        Of `ranged_space`.
+    paths : int
+    seed : int
+        Of the Latin hypercube of the parameters.
+    near : sequence of Design
+        Designs for which the answer is wanted most, as those that were measured.
+    fits : callable, optional
+        As `Fits`; designs on which the effects cannot act are passed over.
+
+    Raises
+    ------
+    InputError
+        When there are fewer than 2 paths, or too few designs that fit.
+    """
+    if base.effects:
+        raise InputError("dataset", ", ".join(base.effects), "one without effects")
+    if base.variables != tuple(p.name for p in space if "." not in p.name):
+        raise InputError("dataset", ", ".join(base.variables), "the design space")
+    if isinstance(paths, bool) or not isinstance(paths, int) or paths < 2:
+        raise InputError("paths", paths, "a whole number of at least 2")
+    parameters = [p for p in space if "." in p.name]
+    effects = tuple(sorted({p.name.split(".")[0] for p in parameters}))
+    values = Space(tuple(parameters)).sample(paths, seed)
+    names = [p.name for p in parameters]
+    whole = np.array([status in PROPER_ENDS for status in base.path_status])
+    steps = np.array([base.steps(i) for i in range(len(base))])
+    good, held = whole & (steps >= FEWEST_STEPS), held_out(base)
+    points = _standardised(base)
+    tests = max(1, round(TEST_PATHS * paths)) if (good & held).any() else 0
+    chosen: list[int] = []
+    unfit = 0
+    for pool, count, wanted in (
+        (np.flatnonzero(good & ~held), paths - tests, near),
+        (np.flatnonzero(good & held), tests, ()),
+    ):
+        order = _repeated(_order(points, pool, base, wanted), 2 * len(pool) + count)
+        for _ in range(count):
+            own = split_inputs(tuple(names), values[len(chosen)], effects)[1]
+            for row in order:
+                if fits is None or fits(base.design(row), own):
+                    chosen.append(row)
+                    break
+                unfit += 1
+            else:
+                raise InputError(
+                    "dataset",
+                    f"{len(chosen)} designs on which the effects can act",
+                    f"one that has them for {paths} paths",
+                )
+    base_row = np.array(chosen, dtype=np.int64)
+    inputs = np.concatenate([base.inputs[base_row], values], axis=1)
+    return Plan(effects, space, base_row, inputs, int(seed), unfit)
+
+
+def _standardised(base: Dataset) -> Array:
+    """(n, g) dimensionless groups, centred and scaled."""
+    raw = groups(columns_of(base.variables, base.inputs))
+    scale: Array = raw.std(axis=0)
+    points: Array = (raw - raw.mean(axis=0)) / np.where(scale > 1e-9, scale, 1.0)
+    return points
+
+
+def _order(
+    points: Array, pool: Array, base: Dataset, near: Sequence[Design]
+) -> list[int]:
+    """Rows of the pool, best first: the i-th list of rows holds the (i-1)-th."""
+    best = _representative(points, pool)
+    if not near:
+        return best
+    raw = groups(columns_of(base.variables, base.inputs))
+    scale = np.where(raw.std(axis=0) > 1e-9, raw.std(axis=0), 1.0)
+    sampled = [[d.sampled()[name] for name in base.variables] for d in near]
+    wanted = groups(columns_of(base.variables, np.array(sampled)))
+    away = (((raw[pool, None] - wanted[None]) / scale) ** 2).sum(axis=2)
+    # The nearest of each design in turn, then the second nearest of each, ...
+    nearest = iter(pool[np.argsort(away, axis=0, kind="stable")].ravel().tolist())
+    others = iter(best)
+    mixed: list[int] = []
+    due = 0.0
+    for _ in range(len(pool)):
+        due += NEAR_PATHS
+        source = nearest if due >= 1 else others
+        due -= due >= 1
+        mixed.append(next(row for row in source if row not in mixed))
+    return mixed
+
+
+def _representative(points: Array, pool: Array) -> list[int]:
+    """Rows of the pool, each the one that brings all of them nearest to a chosen one.
+
+    Greedy facility location (Cornuejols, Fisher and Nemhauser, Management Science 23,
+    1977): the sum over the pool of the distance to the nearest chosen row falls most.
+    """
+    own = points[pool]
+    away = np.sqrt(((own[:, None] - own[None]) ** 2).sum(axis=2))
+    nearest = np.full(len(pool), away.max() + 1 if len(pool) else 0.0)
+    found: list[int] = []
+    left = np.ones(len(pool), dtype=bool)
+    for _ in range(len(pool)):
+        total = np.minimum(nearest[:, None], away).sum(axis=0)
+        one = int(np.where(left, total, np.inf).argmin())
+        left[one] = False
+        nearest = np.minimum(nearest, away[:, one])
+        found.append(int(pool[one]))
+    return found
+
+
+def _repeated(rows: list[int], most: int) -> Iterator[int]:
+    """The rows again and again, `most` of them: an end where none of them fits."""
+    for i in range(most if rows else 0):
+        yield rows[i % len(rows)]
+
+
+def fem_fits(
+    effects: Sequence[str], level: str, effects_dir: Path | None = None
+) -> Fits:
+    """Whether the finite elements accept a design with the effects in it.
+
+    Raises
+    ------
+    InputError
+        When an effect answers to time or history: a path of the surrogate has none.
+    """
+    return partial(_fem_fits, tuple(effects), level, effects_dir)
+
+
+def _fem_fits(
+    effects: tuple[str, ...],
+    level: str,
+    effects_dir: Path | None,
+    design: Design,
+    values: Values,
+) -> bool:
+    from datagen.model import Model
+
+    model = Model(effects, level, values, effects_dir)
+    try:
+        problem = model.problem(design)
+    except InputError:
+        return False
+    if problem.swellings or any(law.history_size for law in problem.laws):
+        raise InputError(
+            "effects",
+            ", ".join(effects),
+            "effects that act at once: the surrogate knows no time and no history; "
+            "the finite elements do",
+        )
+    return True
+
+
+def increment_tasks(
+    planned: Plan, base: Dataset, level: str, effects_dir: Path | None
+) -> list[PairTask]:
+    """The paths of a plan, in its order."""
+    return [
+        PairTask(
+            row=i,
+            variables=planned.space.names,
+            inputs=tuple(planned.inputs[i].tolist()),
+            effects=planned.effects,
+            level=level,
+            max_pressure=base.max_pressure,
+            sensitivities=True,
+            pressure=_load_steps(base, int(row)),
+            effects_dir=str(effects_dir) if effects_dir else None,
+        )
+        for i, row in enumerate(planned.base_row)
+    ]
+
+
+def solve_increment(
+    planned: Plan,
+    base: Dataset,
+    out: str | Path,
+    *,
+    level: str | None = None,
+    effects_dir: Path | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    resume: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+    executor: Executor | None = None,
+    solve: Solve = solve_pair,
+    version: str | None = None,
+) -> Dataset:
+    """Solve the paths of a plan into one HDF5 file, resumable as `generate` is.
+
+    Parameters
+    ----------
+    planned : Plan
+    base : Dataset
+        The one that was planned with.
+    out : path
+    level : str, optional
+        Mesh level; that of the base by default, which pairs need.
+    version : str, optional
+        Version of what `solve` computes; that of the finite elements by default.
+    effects_dir, workers, scheduler, resume, progress, executor, solve
+        As in `datagen.generate.generate`, and so are the errors.
+
+    Returns
+    -------
+    Dataset
+        With `base_row`, the row of the base that each path is paired with.
+    """
+    from datagen.model import GENERATOR_VERSION
+
+    level = mesh_of(base) if level is None else level
+    tasks = increment_tasks(planned, base, level, effects_dir)
+    manifest = Manifest(
+        designs=len(planned),
+        seed=planned.seed,
+        effects=planned.effects,
+        level=level,
+        max_pressure=base.max_pressure,
+        generator_version=GENERATOR_VERSION if version is None else version,
+        design_space=tuple(space_to_json(planned.space)),
+        inputs_sha256=inputs_digest(planned.inputs),
+        sensitivities=len(planned),
+        base=base.digest(),
+    )
+    fixed = {
+        "inputs": planned.inputs,
+        "space": planned.space,
+        "base_row": planned.base_row,
+    }
+    return solve_all(
+        out,
+        manifest,
+        tasks,
+        fixed,
+        workers=workers,
+        scheduler=scheduler,
+        resume=resume,
+        progress=progress,
+        executor=executor,
+        solve=solve,
+    )
+
+
+def _load_steps(base: Dataset, row: int) -> tuple[float, ...]:
+    """Pressures of a base's path, then even steps to the highest pressure, Pa.
+
+    An effect may carry a path past the limit pressure of its base.
+    """
+    own = base.pressure[row, : base.steps(row)]
+    even = base.max_pressure * np.arange(1, EVEN_STEPS + 1) / EVEN_STEPS
+    further = even[even > own[-1] * (1 + 1e-6)]
+    return tuple(np.concatenate([own, further]).tolist())

@@ -1,0 +1,359 @@
+"""From a base and effects with their ranges to a corrected surrogate in a folder.
+
+One call plans the increment, solves it, trains and writes.  Until the end everything is
+in ``FOLDER.work`` beside the folder; the folder itself appears whole, by one rename.  A
+run that was killed goes on with ``resume=True`` and gives the model that an
+uninterrupted run gives.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.atomic import reason, replacing, sync
+from datagen.dataset import Dataset
+from datagen.device import Design
+from datagen.errors import FileError, InputError
+from datagen.generate import Progress
+from datagen.space import Space
+from datagen.worker import Solve, run_task
+
+from .change import SETTINGS, ChangeSettings, fit_corrected
+from .corrected import Corrected
+from .ensemble import Ensemble
+from .equivalent import Equivalent, fit_equivalent
+from .increment import (
+    Fits,
+    Plan,
+    fem_fits,
+    increment_tasks,
+    mesh_of,
+    plan,
+    ranged_space,
+    solve_increment,
+    solve_pair,
+)
+
+Array = np.ndarray
+
+PLAN, INCREMENT, DRAFT = "plan.json", "increment.h5", "model"
+"""In the working folder; the second goes along into the finished one."""
+
+FEWEST_PATHS = 16
+"""Enough to see whether the equivalent device explains an effect."""
+
+MOST_PATHS = 400
+"""What a time budget is turned into at most."""
+
+SOLVING_SHARE = 0.8
+"""Of a time budget; the rest is for training and for paths longer than the median."""
+
+Report = Callable[[str, int, int, float | None], None]
+"""report(stage, done, total, seconds left or None)."""
+
+
+@dataclass(frozen=True)
+class Means:
+    """How paths are solved; only tests need others than the finite elements.
+
+    Parameters
+    ----------
+    solve : callable
+        Top-level function from a `PairTask` to its row.
+    version : str or None
+        Of what it computes; None for that of the finite elements.
+    level : str or None
+        Mesh level; None for that of the base.
+    space : Space or None
+        Design variables and parameters over their ranges; None for the effects' own.
+    fits : callable or None
+        Whether effects can act on a design; None asks the finite elements.
+    equivalent : Equivalent or None
+        None reads it from problems with the effects in them.
+    """
+
+    solve: Solve = solve_pair
+    version: str | None = None
+    level: str | None = None
+    space: Space | None = None
+    fits: Fits | None = None
+    equivalent: Equivalent | None = None
+
+
+BY_FEM = Means()
+
+
+def learn(
+    base: Ensemble,
+    dataset: Dataset,
+    effects: Sequence[str],
+    ranges: Mapping[str, tuple[float, float]],
+    folder: str | Path,
+    *,
+    samples: Array | None = None,
+    paths: int | None = None,
+    minutes: float | None = None,
+    seed: int = 0,
+    near: Sequence[Design] = (),
+    effects_dir: Path | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    executor: Executor | None = None,
+    resume: bool = False,
+    report: Report | None = None,
+    settings: ChangeSettings = SETTINGS,
+    means: Means = BY_FEM,
+) -> Corrected:
+    """Learn what effects change and write the corrected surrogate.
+
+    Parameters
+    ----------
+    base : Ensemble
+        Without effects.
+    dataset : Dataset
+        Paths without effects, that new ones are paired with.
+    effects : sequence of str
+        Learned together, so that what they do to each other is learned, too; the order
+        of their names changes nothing.
+    ranges : mapping
+        ``{effect.parameter: (lower, upper)}``, SI, one for each parameter; see
+        `increment.stated_range`.
+    folder : path
+        Where the model is written; must not exist, its parent must.
+    samples : (m, j) array, SI, optional
+        Equally likely parameters, in the order of their names in the corrected model's
+        `tuned` (effects as the model applies them); `marginal` averages over them.
+    paths : int, optional
+        How many are solved; 60 by default.
+    minutes : float, optional
+        Time budget, instead of `paths`: one path is timed first.
+    seed : int
+    near : sequence of Design
+        Designs for which the answer is wanted most.
+    effects_dir : Path, optional
+        Folder with a user's own effects.
+    workers, scheduler, executor
+        As in `datagen.generate.generate`.
+    resume : bool
+        Go on with what an earlier run with the same settings has left.
+    report : callable, optional
+        As `Report`.
+    settings : ChangeSettings
+    means : Means
+
+    Raises
+    ------
+    InputError
+        When a setting is not allowed, the folder exists (without `resume`), or was
+        begun with other settings (with it).
+    EffectError, FileError, GenerationError, Interrupted
+        As in `datagen.generate.generate`.
+    """
+    folder = Path(folder)
+    work = folder.with_name(f"{folder.name}.work")
+    space = means.space or ranged_space(effects, ranges, effects_dir)
+    active = tuple(sorted({p.name.split(".")[0] for p in space if "." in p.name}))
+    if paths is not None and minutes is not None:
+        raise InputError("minutes", minutes, "either paths or minutes")
+    if minutes is not None and not (np.isfinite(minutes) and minutes > 0):
+        raise InputError("minutes", minutes, "a number above 0", "min")
+    paths = 60 if paths is None and minutes is None else paths
+    if paths is not None and paths < FEWEST_PATHS:
+        raise InputError("paths", paths, f"at least {FEWEST_PATHS}")
+    wanted = _request(
+        base, dataset, space, near, seed, samples, paths, minutes, settings
+    ) | {"effects_dir": _sources(effects_dir)}
+    if folder.exists():
+        return _finished(folder, work, wanted, resume)
+    begun = _begin(work, wanted, resume)
+    level = means.level or mesh_of(dataset)
+    fits = means.fits or fem_fits(active, level, effects_dir)
+    if "count" not in begun:
+        count = paths
+        if count is None:
+            assert minutes is not None
+            first = plan(dataset, space, FEWEST_PATHS, seed, near, fits)
+            seconds = _one_path(first, dataset, level, effects_dir, means.solve)
+            count = _affordable(minutes, seconds, max(workers, 1))
+        begun = wanted | {"count": count}
+        _write_json(work / PLAN, begun)
+    planned = plan(dataset, space, int(begun["count"]), seed, near, fits)
+
+    def solved(state: Progress) -> None:
+        if report:
+            report("increment", state.done, state.total, state.seconds_left)
+
+    increment = solve_increment(
+        planned,
+        dataset,
+        work / INCREMENT,
+        level=level,
+        effects_dir=effects_dir,
+        workers=workers,
+        scheduler=scheduler,
+        resume=True,
+        progress=solved,
+        executor=executor,
+        solve=means.solve,
+        version=means.version,
+    )
+
+    def trained(stage: str, step: int, steps: int, loss: float) -> None:
+        if report:
+            report(stage, step, steps, None)
+
+    equivalent = means.equivalent or fit_equivalent(space, seed, effects_dir)
+    model = fit_corrected(
+        base, dataset, increment, seed, settings, equivalent, samples, trained
+    )
+    unfit = {"unfit_designs": planned.unfit, "request": wanted}
+    model = replace(model, description=model.description | unfit)
+    return _publish(model, folder, work)
+
+
+def _request(
+    base: Ensemble,
+    dataset: Dataset,
+    space: Space,
+    near: Sequence[Design],
+    seed: int,
+    samples: Array | None,
+    paths: int | None,
+    minutes: float | None,
+    settings: ChangeSettings,
+) -> dict[str, Any]:
+    """What decides the model, as plain data."""
+    designs = json.dumps([design.to_dict() for design in near])
+    taken = b"" if samples is None else np.asarray(samples, "<f8").tobytes()
+    return {
+        "base": base.version,
+        "dataset": dataset.digest(),
+        "ranges": {p.name: [p.lower, p.upper] for p in space if "." in p.name},
+        "near": hashlib.sha256(designs.encode()).hexdigest()[:12],
+        "samples": hashlib.sha256(taken).hexdigest()[:12],
+        "seed": seed,
+        "paths": paths,
+        "minutes": minutes,
+        "settings": repr(settings),
+    }
+
+
+def _sources(effects_dir: Path | None) -> str:
+    """Digest of a user's own effects; empty without."""
+    if effects_dir is None:
+        return ""
+    sha = hashlib.sha256()
+    for path in sorted(effects_dir.glob("*.py")):
+        sha.update(path.name.encode() + b"\n" + path.read_bytes())
+    return sha.hexdigest()[:12]
+
+
+def _check_same(wanted: Mapping[str, Any], found: Mapping[str, Any], at: Path) -> None:
+    """Refuse to go on with what other settings began."""
+    for name, value in wanted.items():
+        if found.get(name) != value:
+            begun = f"{found.get(name)!r}, as {at} was begun with"
+            raise InputError(name, value, begun)
+
+
+def _begin(work: Path, wanted: dict[str, Any], resume: bool) -> dict[str, Any]:
+    """The working folder; what an earlier run has written there of its plan."""
+    if work.exists() and not resume:
+        raise _refusal(work)
+    try:
+        work.mkdir(exist_ok=True)
+    except OSError as error:
+        raise FileError(work, f"cannot be made: {reason(error)}") from error
+    path = work / PLAN
+    if not path.exists():  # a fresh run, or killed before it was written
+        _write_json(path, wanted)
+        return wanted
+    try:
+        found = json.loads(path.read_text())
+    except ValueError:
+        raise FileError(path, "not a plan; remove its folder") from None
+    if not isinstance(found, dict):
+        raise FileError(path, "not a plan; remove its folder")
+    _check_same(wanted, found, work)
+    return found
+
+
+def _finished(
+    folder: Path, work: Path, wanted: Mapping[str, Any], resume: bool
+) -> Corrected:
+    """The model that is there already, if it is the one that was asked for."""
+    if not resume:
+        raise _refusal(folder)
+    model = Corrected.load(folder)
+    _check_same(wanted, model.description.get("request", {}), folder)
+    shutil.rmtree(work, ignore_errors=True)  # killed in the clean-up
+    return model
+
+
+def _refusal(existing: Path) -> InputError:
+    return InputError(
+        "out",
+        str(existing),
+        "a folder that does not exist yet; --resume goes on with what was begun",
+    )
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _one_path(
+    planned: Plan, dataset: Dataset, level: str, effects_dir: Path | None, solve: Solve
+) -> float:
+    """Seconds of the planned path with the median number of balloons."""
+    tasks = increment_tasks(planned, dataset, level, effects_dir)
+    x, y = (planned.space.names.index(f"divisions_{axis}") for axis in "xy")
+    balloons = planned.inputs[:, x] * planned.inputs[:, y]
+    middle = tasks[int(np.argsort(balloons, kind="stable")[len(tasks) // 2])]
+    began = time.perf_counter()
+    run_task(solve, middle)
+    return time.perf_counter() - began
+
+
+def _affordable(minutes: float, seconds: float, workers: int) -> int:
+    """Number of paths that a time budget allows."""
+    fits = int(SOLVING_SHARE * 60 * minutes * workers / max(seconds, 1e-3))
+    if fits < FEWEST_PATHS:
+        needed = FEWEST_PATHS * seconds / (SOLVING_SHARE * 60 * workers)
+        raise InputError(
+            "minutes",
+            minutes,
+            f"at least {needed:.1f}: a path takes {seconds:.0f} s, and {FEWEST_PATHS} "
+            "are needed",
+            "min",
+        )
+    return min(fits, MOST_PATHS)
+
+
+def _publish(model: Corrected, folder: Path, work: Path) -> Corrected:
+    """Give the finished model its name."""
+    draft = work / DRAFT
+    shutil.rmtree(draft, ignore_errors=True)  # of a run that was killed here
+    model.save(draft)
+    try:
+        shutil.copyfile(work / INCREMENT, draft / INCREMENT)
+        sync(draft / INCREMENT)
+        sync(draft)
+        os.replace(draft, folder)
+        sync(folder.parent)
+    except OSError as error:
+        raise FileError(folder, f"cannot be written: {reason(error)}") from error
+    shutil.rmtree(work, ignore_errors=True)
+    return Corrected.load(folder)

@@ -1,0 +1,171 @@
+"""From effects to a folder with a model, through kill -9 at every stage."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.dataset import Dataset
+from datagen.device import named_device
+from datagen.errors import InputError
+from datagen.parts import parts_folder
+from surrogate import learn as learning
+from surrogate.corrected import Corrected
+from surrogate.ensemble import Ensemble
+from surrogate.learn import INCREMENT, PLAN, learn
+from tests.datagen.fake_solver import Here
+from tests.surrogate.learn_process import PATHS, SEED, run
+from tests.surrogate.pairs import QUICK, means
+
+ROOT = Path(__file__).parents[2]
+FILES = ("model.json", "weights.safetensors", "base/weights.safetensors", INCREMENT)
+
+
+@pytest.fixture(scope="module")
+def finished(
+    ensemble: Ensemble, dataset: Dataset, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """What an uninterrupted run gives, and beside it its base and dataset."""
+    folder = tmp_path_factory.mktemp("learn")
+    ensemble.save(folder / "base")
+    dataset.write(folder / "paths.h5")
+    run(Ensemble.load(folder / "base"), dataset, folder / "whole")
+    return folder
+
+
+def killed(finished: Path, out: Path, stage: str, count: int) -> int:
+    """Exit status of a run in a process of its own."""
+    command = [sys.executable, "-m", "tests.surrogate.learn_process"]
+    given = [finished / "base", finished / "paths.h5", out, stage, count]
+    return subprocess.run(
+        [*command, *map(str, given)],
+        cwd=ROOT,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        check=False,
+        timeout=100,
+    ).returncode
+
+
+def test_kill_and_resume(finished: Path, tmp_path: Path) -> None:
+    """Killed in the increment, the training and the writing; then the same model."""
+    out = tmp_path / "model"
+    work = tmp_path / "model.work"
+    for stage, count in (
+        ("increment", 9),
+        ("change", 2),
+        ("publish", 1),
+        ("publish", 5),
+    ):
+        assert killed(finished, out, stage, count) == -signal.SIGKILL, stage
+        assert not out.exists()
+        if stage == "increment":
+            rows = parts_folder(work / INCREMENT).glob("row-*.json")
+            assert len(list(rows)) == 8  # the first report is of none
+    base, dataset = (
+        Ensemble.load(finished / "base"),
+        Dataset.read(finished / "paths.h5"),
+    )
+    model = run(base, dataset, out)
+    assert not work.exists()
+    assert model.version == Corrected.load(finished / "whole").version
+    for name in FILES:
+        assert (out / name).read_bytes() == (finished / "whole" / name).read_bytes()
+
+
+def test_what_is_in_the_folder(finished: Path, dataset: Dataset) -> None:
+    model = Corrected.load(finished / "whole")
+    increment = Dataset.read(finished / "whole" / INCREMENT)
+    assert len(increment) == PATHS
+    assert increment.base == dataset.digest()
+    assert model.description["increment"] == increment.digest()
+    assert model.effects == ("soft", "tilt")
+    assert not (finished / "whole.work").exists()
+
+
+def test_other_settings_are_refused(
+    ensemble: Ensemble, dataset: Dataset, finished: Path, tmp_path: Path
+) -> None:
+    def again(out: Path, **changed: object) -> Corrected:
+        settings: dict[str, object] = {
+            "paths": PATHS,
+            "seed": SEED,
+            "executor": Here(),
+            "resume": True,
+            "settings": QUICK,
+            "means": means("both"),
+        }
+        return learn(
+            Ensemble.load(finished / "base"),
+            dataset,
+            ("tilt", "soft"),
+            {},
+            out,
+            **(settings | changed),  # type: ignore[arg-type]
+        )
+
+    whole = finished / "whole"
+    assert again(whole).version == Corrected.load(whole).version
+    for changed, told in (
+        ({"seed": 4}, "seed: 4 is not allowed; allowed: 3, as"),
+        ({"paths": 30}, "paths: 30"),
+        ({"near": [named_device()]}, "near"),
+        ({"samples": np.array([[0.9, 0.1]])}, "samples"),
+        ({"means": means("tilt")}, "ranges"),
+        ({"resume": False}, "a folder that does not exist yet"),
+    ):
+        with pytest.raises(InputError, match=told):
+            again(whole, **changed)
+    begun = tmp_path / "m.work"
+    begun.mkdir()
+    (begun / PLAN).write_text(json.dumps({"seed": 1}))
+    with pytest.raises(InputError, match=r"as .* was begun with"):
+        again(tmp_path / "m")
+    with pytest.raises(InputError, match="does not exist yet"):
+        again(tmp_path / "m", resume=False)
+    for changed, told in (
+        ({"paths": 4}, "paths: 4 is not allowed; allowed: at least 16"),
+        ({"minutes": 3.0}, "either paths or minutes"),
+        ({"paths": None, "minutes": 0.0}, "minutes: 0 min"),
+    ):
+        with pytest.raises(InputError, match=told):
+            again(tmp_path / "n", **changed)
+
+
+def test_time_budget(
+    monkeypatch: pytest.MonkeyPatch, dataset: Dataset, finished: Path, tmp_path: Path
+) -> None:
+    """One path is timed; the number that follows is kept for a resumed run."""
+    timed = iter([12.0])
+    monkeypatch.setattr(learning, "_one_path", lambda *_: next(timed))
+    base = Ensemble.load(finished / "base")
+    stopped = []
+
+    def stop(stage: str, done: int, total: int, left: float | None) -> None:
+        stopped.append((stage, done, total))
+        if len(stopped) == 5:
+            raise KeyboardInterrupt
+
+    settings: dict[str, object] = {
+        "minutes": 5.0,
+        "workers": 1,
+        "executor": Here(),
+        "settings": replace(QUICK, fit=replace(QUICK.fit, steps=50)),
+        "means": means("tilt"),
+    }
+    out = tmp_path / "m"
+    with pytest.raises(KeyboardInterrupt):
+        learn(base, dataset, ("tilt",), {}, out, report=stop, **settings)  # type: ignore[arg-type]
+    assert stopped[0] == ("increment", 0, 20)  # 0.8 x 300 s / 12 s
+    model = learn(base, dataset, ("tilt",), {}, out, resume=True, **settings)  # type: ignore[arg-type]
+    assert model.description["paths"] == 20
+    monkeypatch.setattr(learning, "_one_path", lambda *_: 60.0)
+    with pytest.raises(InputError, match=r"at least 20\.0: a path takes 60 s"):
+        learn(base, dataset, ("tilt",), {}, tmp_path / "n", **settings)  # type: ignore[arg-type]
