@@ -34,6 +34,7 @@ AT = (20, 60, 100)
 TWELVE = "2,4,8,12,16,20,25,30,35,40,45,50"
 COMPARE = "compare examples/measurements/bench.csv --level draft"
 ALARMS = "-m docs.alarms"
+WORKED = "-m examples.worked"
 PBA = (sys.executable, "-c", "from service.cli import main; main()")
 COST = f"solve --device S1 --case 1 --pressures {TWELVE} --json"
 
@@ -150,6 +151,20 @@ def compare() -> str:
     return f"```text\n{lines}\n```\n\nMeasured by `pba {COMPARE}`.\n"
 
 
+def worked() -> str:
+    """The worked example, as people see it."""
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run(
+            [sys.executable, *WORKED.split(), folder],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+    lines = "\n".join(line.rstrip() for line in done.stdout.splitlines())
+    return f"```text\n{lines}\n```\n\nMeasured by `python {WORKED}`.\n"
+
+
 def alarms() -> str:
     """How often mere errors are taken for missing physics, and how often it is seen."""
     done = subprocess.run(
@@ -168,6 +183,7 @@ BLOCKS = {
     "accuracy": Block(accuracy),
     "cases": Block(cases),
     "compare": Block(compare),
+    "worked": Block(worked),
     "alarms": Block(alarms, repeats=False),  # some minutes; the tests do fewer sets
 }
 

@@ -59,6 +59,7 @@ KINDS: Mapping[str, Kind] = {
     "compare": Kind("service.discrepancy_tasks:compare"),
     "rank": Kind("service.discrepancy_tasks:rank"),
     "adopt": Kind("service.discrepancy_tasks:adopt"),
+    "surrogate": Kind("service.discrepancy_tasks:surrogate"),
 }
 """Kinds of jobs.  Each has its own workers: a dataset of hours blocks no prediction."""
 

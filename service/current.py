@@ -21,7 +21,7 @@ from discrepancy.version import ModelVersion
 from discrepancy.workspace import CURRENT, Workspace
 
 from .answer import Predictor, RangeCheck
-from .versions import surrogate_of
+from .surrogates import load
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ class Switch:
         self.workspace = workspace
         self._base = Serving(name, base)
         self._serving = self._base
-        self._seen: tuple[int, ...] | None = None
+        self._seen: tuple[object, ...] = ()
+        self._inside: object = None
         self._guard = threading.Lock()
         self.problem = ""
 
@@ -103,13 +104,22 @@ class Switch:
 
     def now(self) -> Serving:
         """What answers a request that begins now."""
-        seen = _signature(self.workspace.folder / CURRENT)
-        if seen != self._seen:
+        if self._signature() != self._seen:
             with self._guard:
-                if seen != self._seen:
+                if self._signature() != self._seen:
+                    # Looked at before it is read: what changes meanwhile is read again.
+                    chosen = _state(self.workspace.folder / CURRENT)
+                    self._inside = None
                     self._serving = self._read()
-                    self._seen = seen
+                    self._seen = (chosen, self._inside)
         return self._serving
+
+    def _signature(self) -> tuple[object, ...]:
+        """What changes with the version in use, or when it gets a surrogate."""
+        version = self._serving.version
+        folder = None if version is None else version.folder
+        inside = None if folder is None else _state(folder)
+        return _state(self.workspace.folder / CURRENT), inside
 
     def _read(self) -> Serving:
         try:
@@ -117,15 +127,20 @@ class Switch:
             self.problem = ""
             if entry is None or entry.version is None:
                 return self._base
-            surrogate = surrogate_of(entry.version)
+            assert entry.version.folder is not None
+            self._inside = _state(entry.version.folder)
+            surrogate = load(entry.version)
             return Serving(entry.name, self._base.base, entry.version, surrogate)
         except PbaError as error:
             self.problem = str(error)
+            former = self._serving.version
+            folder = None if former is None else former.folder
+            self._inside = None if folder is None else _state(folder)
             logging.getLogger("pba").error("model in use: %s", error)
             return self._serving
 
 
-def _signature(path: Path) -> tuple[int, ...] | None:
+def _state(path: Path) -> tuple[int, ...] | None:
     """What changes when a file is replaced; None where there is none."""
     try:
         found = os.stat(path)

@@ -90,6 +90,27 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     return found.to_json() | {"file": _kept(payload, found.page)}
 
 
+def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """The object of ``pba models train --json``; paths that are finished are kept."""
+    from discrepancy.folder import read
+
+    from .discrepancy import cores
+    from .surrogates import about, train
+
+    def update(stage: str, done: int, total: int, left: float | None) -> None:
+        report({"what": stage, "done": done, "total": total, "seconds_left": left})
+
+    made = train(
+        read(Path(payload["folder"])),
+        minutes=payload["minutes"],
+        paths=payload["paths"],
+        seed=payload["seed"],
+        workers=cores(),
+        report=update,
+    )
+    return about(made)
+
+
 def _kept(payload: Mapping[str, Any], page: str) -> str:
     """Write a report to where the payload says; the path."""
     from datagen.atomic import replacing

@@ -11,8 +11,9 @@ from .adoption import version_json, version_row
 from .answer import COVERAGE
 from .bench import plain
 from .discrepancy_routes import ACCEPTED, payload_of, submit
+from .jobs import payload_key
 from .routes import BODY, Service, Shared, accepted, errors, known_effects
-from .schemas import AdoptionIn, JobOut, UseIn
+from .schemas import AdoptionIn, JobOut, SurrogateIn, UseIn
 
 router = APIRouter(responses=errors(422, 500))
 
@@ -91,6 +92,24 @@ def _in_use(service: Service) -> dict[str, Any]:
         "version": serving.model_version,
         "effects": list(serving.effects),
     }
+
+
+@router.post(
+    "/v1/models/{name}/surrogate",
+    status_code=202,
+    response_model=JobOut,
+    responses=ACCEPTED | BODY | errors(503),
+)
+def train(name: str, body: SurrogateIn, service: Shared) -> Response:
+    """Train the surrogate of a version, as ``pba models train --json`` says it.
+
+    When the job is done it answers in range; until then the finite elements do.
+    """
+    found = service.switch.workspace.find(name)
+    assert found.version is not None
+    payload = {"folder": str(found.version.folder), **body.model_dump()}
+    key = payload_key(payload, "surrogate", found.version.version, service.release)
+    return accepted(service.store.submit("surrogate", payload, key))
 
 
 @router.post(

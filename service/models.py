@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -9,7 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 from typer import Argument, Option
 
-from .options import AsJson, WorkspaceDir
+from datagen.errors import InputError
+
+from .discrepancy import Workers
+from .options import AsJson, WorkspaceDir, number, whole
 from .terminal import print_json, print_rich
 
 if TYPE_CHECKING:
@@ -117,6 +121,70 @@ def models_show(
     print(f"seed {version.seed}.")
     for line in (*version.warnings, *version.doubts()):
         print(f"Warning: {line}")
+
+
+@models_app.command("train")
+def models_train(
+    name: Name,
+    minutes: Annotated[
+        float | None,
+        Option(
+            help="Time budget, paths and training together; 8 where nothing is given.",
+            parser=number("--minutes", 0.1, 10_000, "min"),
+            metavar="MIN",
+        ),
+    ] = None,
+    paths: Annotated[
+        int | None,
+        Option(
+            help="How many paths are solved, in place of a budget.",
+            parser=whole("--paths", 1, 100_000),
+            metavar="N",
+        ),
+    ] = None,
+    seed: Annotated[
+        int,
+        Option(help="Of plan and training.", parser=whole("--seed", 0, 2**31)),
+    ] = 0,
+    workers: Workers = None,
+    workspace: WorkspaceDir = None,
+    as_json: AsJson = False,
+) -> None:
+    """The fast surrogate of a version, with its effects in it.
+
+    Finished paths are kept: the same command goes on where it was stopped.
+    """
+    from .discrepancy import cores
+    from .surrogates import about, lines, train
+    from .terminal import duration, progress_bar
+
+    version = _version(name, workspace)
+    if version is None:
+        raise InputError("model", name, "a version with adopted effects")
+    start = time.perf_counter()
+    with progress_bar("steps", quiet=as_json) as bar:
+        shown = bar.add_task("increment", total=None, note="")
+
+        def update(stage: str, done: int, total: int, left: float | None) -> None:
+            note = "" if left is None else f"{duration(left)} left"
+            bar.update(shown, description=stage, completed=done, total=total, note=note)
+
+        made = train(
+            version,
+            minutes=minutes,
+            paths=paths,
+            seed=seed,
+            workers=workers or cores(),
+            report=update,
+        )
+    seconds = time.perf_counter() - start
+    if as_json:
+        print_json(about(made) | {"seconds": seconds})
+        return
+    took = duration(seconds)
+    print(f"{version.surrogate}: surrogate of {version.version} in {took}.")
+    for line in lines(made):
+        print(line)
 
 
 @models_app.command("diff")

@@ -221,6 +221,14 @@ class AdoptionIn(MeasuredIn):
     use: bool = Field(default=True, description="whether it answers from then on")
 
 
+class SurrogateIn(Strict):
+    """How long the surrogate of a version may take: minutes, or a number of paths."""
+
+    minutes: float | None = Field(default=None, ge=0.1, le=10_000)
+    paths: Whole | None = Field(default=None, ge=1, le=100_000)
+    seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
+
+
 class UseIn(Strict):
     """Which model is to answer."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from datagen.device import Design
 
-from .answer import Answer, Predictor, fem_answer, surrogate_answer
+from .answer import Answer, fem_answer, surrogate_answer
 from .tasks import fem_version
 
 if TYPE_CHECKING:
@@ -103,15 +104,6 @@ def fem_name(level: str, version: ModelVersion | None) -> str:
     return name if version is None else f"{name}+{version.version}"
 
 
-def surrogate_of(version: ModelVersion) -> Predictor | None:
-    """Its surrogate at the posterior means; None where none was trained."""
-    if version.surrogate is None:
-        return None
-    from surrogate.ensemble import Ensemble
-
-    return Ensemble.load(version.surrogate).with_parameters(version.parameters())
-
-
 def version_answer(
     version: ModelVersion, design: Design, pressure: np.ndarray, level: str
 ) -> Answer:
@@ -125,16 +117,19 @@ def version_answer(
     level : str
         Mesh of the finite elements.
     """
-    surrogate = surrogate_of(version)
+    from .surrogates import load
+
+    surrogate = load(version)
     reasons: tuple[str, ...] = (
         f"model version {version.version} has no surrogate yet",
     )
     if surrogate is not None:
         check = surrogate.check(design, pressure)
         if check.in_range:
-            return surrogate_answer(surrogate, design, pressure, check)
+            answer = surrogate_answer(surrogate, design, pressure, check)
+            return replace(answer, effects=version.effects)
         reasons = tuple(check.reasons)
-    return fem_answer(
+    answer = fem_answer(
         version.forward(level),
         fem_name(level, version),
         design,
@@ -142,3 +137,4 @@ def version_answer(
         False,
         reasons,
     )
+    return replace(answer, effects=version.effects)

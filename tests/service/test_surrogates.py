@@ -1,0 +1,159 @@
+"""The surrogate of a version: ranges, samples, who answers, and what refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from datagen.effects import catalogue
+from datagen.errors import InputError
+from datagen.response import Path as LoadPath
+from discrepancy.version import Estimate
+from discrepancy.workspace import Workspace
+from service.app import KINDS, Settings, create_app
+from service.current import Switch
+from service.surrogates import SAMPLES, AdoptedSurrogate, declared, learned, train
+from tests.discrepancy.versions import version
+from tests.service.fakes import FakeSurrogate
+from tests.service.test_models import ASKED
+
+
+def weight() -> Estimate:
+    return Estimate(
+        name="self_weight.density",
+        unit="kg/m3",
+        value=1000.0,
+        std=20.0,
+        low=960.0,
+        high=1040.0,
+        lower=900.0,
+        upper=1300.0,
+        plausibility="plausible",
+        source="made up",
+    )
+
+
+def test_ranges_hold_the_fit_and_samples_are_its_posterior() -> None:
+    made = version()
+    ranges, samples = learned(made, declared(made, None))
+    lower, upper = ranges["cure_mismatch.difference"]
+    assert lower < made.mean[0] < upper
+    assert samples.shape[1] == 1 and 2 <= len(samples) <= SAMPLES
+    assert set(samples[:, 0]) <= set(made.samples[:, 0])
+
+
+def test_what_is_not_inferred_stays_at_off() -> None:
+    """Orientation is the measurement's; predictions are made for a strip that lies."""
+    made = version(
+        effects=("self_weight",),
+        estimates=(weight(),),
+        mean=np.array([1000.0]),
+        covariance=np.array([[400.0]]),
+        samples=1000.0 + np.linspace(-30, 30, 7)[:, None],
+        sources={},
+    )
+    parameters = declared(made, None)
+    ranges, samples = learned(made, parameters)
+    assert list(parameters) == ["self_weight.density", "self_weight.orientation"]
+    off = catalogue()["self_weight"].space["orientation"].off
+    assert set(samples[:, 1]) == {off}
+    low, high = ranges["self_weight.orientation"]
+    assert low <= off <= high and high - low < 0.2
+
+
+@pytest.mark.parametrize("effect", ["viscoelasticity", "mullins"])
+def test_effects_with_a_memory_have_no_surrogate(effect: str, tmp_path: Path) -> None:
+    one = catalogue()[effect].parameters
+    estimates = tuple(
+        Estimate(
+            name=f"{effect}.{p.name}",
+            unit=p.unit,
+            value=0.5 * (p.lower + p.upper),
+            std=0.01 * (p.upper - p.lower),
+            low=p.lower,
+            high=p.upper,
+            lower=p.lower,
+            upper=p.upper,
+            plausibility="plausible",
+            source=p.source,
+        )
+        for p in one
+    )
+    mean = np.array([e.value for e in estimates])
+    made = version(
+        effects=(effect,),
+        estimates=estimates,
+        mean=mean,
+        covariance=np.diag([e.std**2 for e in estimates]),
+        samples=np.tile(mean, (5, 1)),
+        sources={},
+    ).save(tmp_path / "made")
+    with pytest.raises(InputError, match=effect):
+        train(made, paths=16)
+    assert made.surrogate is None
+
+
+class Quick(FakeSurrogate):
+    """What `AdoptedSurrogate` needs of a corrected surrogate."""
+
+    def marginal(
+        self, designs: list[object], paths: list[LoadPath], coverage: float = 0.9
+    ) -> object:
+        return self.predict(designs, paths, coverage)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Workspace:
+    made = Workspace(tmp_path / "models")
+    made.make()
+    version().save(made.folder / "first")
+    return made
+
+
+def test_a_surrogate_answers_as_soon_as_it_is_there(
+    home: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home.use("first")
+    switch = Switch(FakeSurrogate(), "reference", home)
+    assert switch.now().model is None
+    made = switch.now().version
+    assert made is not None and made.folder is not None
+    quick = AdoptedSurrogate(made.version, Quick())  # type: ignore[arg-type]
+    monkeypatch.setattr("service.current.load", lambda one: quick)
+    (made.folder / "surrogate").mkdir()
+    assert switch.now().model is quick
+    assert switch.now().model_version == made.version
+
+
+@pytest.fixture
+def client(home: Workspace, tmp_path: Path) -> Iterator[TestClient]:
+    settings = Settings(tmp_path / "state", workspace=home.folder, kinds=KINDS)
+    app = create_app(settings, lambda _folder: FakeSurrogate())
+    with TestClient(app, raise_server_exceptions=False) as client:
+        yield client
+
+
+def test_the_versions_surrogate_answers_over_http(
+    client: TestClient, home: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = AdoptedSurrogate("fitted-1", Quick())  # type: ignore[arg-type]
+    monkeypatch.setattr("service.current.load", lambda one: quick)
+    client.put("/v1/models/current", json={"model": "first"})
+    answer = client.post("/v1/predict", json=ASKED).json()
+    assert (answer["source"], answer["effects"]) == ("surrogate", ["cure_mismatch"])
+    assert answer["model_version"] == "fitted-1"
+
+
+def test_training_asked_for_wrongly(client: TestClient) -> None:
+    for body, word in (
+        ({"minutes": -1}, "minutes"),
+        ({"paths": 2.5}, "paths"),
+        ({"hours": 1}, "hours"),
+    ):
+        answer = client.post("/v1/models/first/surrogate", json=body)
+        assert answer.status_code == 422 and word in answer.text
+    assert client.post("/v1/models/none/surrogate", json={}).status_code == 422
