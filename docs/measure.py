@@ -35,7 +35,11 @@ TWELVE = "2,4,8,12,16,20,25,30,35,40,45,50"
 COMPARE = "compare examples/measurements/bench.csv --level draft"
 ALARMS = "-m docs.alarms"
 WORKED = "-m examples.worked"
-PBA = (sys.executable, "-c", "from service.cli import main; main()")
+PBA = (
+    sys.executable,
+    "-c",
+    "import sys; from service.cli import main; sys.exit(main())",
+)
 COST = f"solve --device S1 --case 1 --pressures {TWELVE} --json"
 
 
@@ -183,7 +187,7 @@ BLOCKS = {
     "accuracy": Block(accuracy),
     "cases": Block(cases),
     "compare": Block(compare),
-    "worked": Block(worked),
+    "worked": Block(worked, repeats=False),  # many minutes
     "alarms": Block(alarms, repeats=False),  # some minutes; the tests do fewer sets
 }
 

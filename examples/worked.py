@@ -19,13 +19,17 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-PBA = (sys.executable, "-c", "from service.cli import main; main()")
+PBA = (
+    sys.executable,
+    "-c",
+    "import sys; from service.cli import main; sys.exit(main())",
+)
 EFFECTS = ROOT / "examples" / "effects"
 
-KNOWN = "--seed 12 --devices 4 --size large"
+KNOWN = "--seed 32 --devices 4 --size 100"
 """Of the first file: which effect is hidden is drawn from the seed."""
 
-LACKING = "--seed 21 --devices 4 --size large --effects cure_gradient"
+LACKING = "--seed 21 --devices 4 --size 100 --effects cure_gradient"
 """Of the second file: one that is not in the catalogue."""
 
 LEVEL = "--level draft"

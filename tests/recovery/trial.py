@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from datagen.device import Design
+from datagen.effects import catalogue
 from discrepancy.hypotheses import Present
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.noise import Readings
@@ -49,6 +50,8 @@ class Kind:
         The last of seven even load steps.
     unloading : bool
         Whether paths come back, by six steps, with times.
+    without : tuple of str
+        Effects that are no candidates: their paths take too long.
     """
 
     moduli: tuple[float, float]
@@ -57,6 +60,7 @@ class Kind:
     width: tuple[float, float]
     pressure: float
     unloading: bool
+    without: tuple[str, ...] = ()
 
 
 KINDS = {
@@ -77,6 +81,7 @@ KINDS = {
         width=(1.4e-3, 2.0e-3),
         pressure=25e3,
         unloading=True,
+        without=("viscoelasticity",),
     ),
 }
 
@@ -177,7 +182,7 @@ class Lab:
             self.solver,
             level="draft",
             fast="draft",
-            effects=self.effects,
+            effects=self.effects or [n for n in catalogue() if n not in kind.without],
         )
 
     def solve(self) -> None:
