@@ -28,6 +28,9 @@ are."""
 EDGE = 0.02
 """Share of a range within which an interval counts as reaching its end."""
 
+SHARED = 0.05
+"""Probability of something besides a named effect from which on it is told."""
+
 INSIDE, OPEN, BEYOND = "plausible", "open", "implausible"
 """A size inside its literature range; one whose interval reaches the end of it; one
 that would be larger still if the range let it."""
@@ -240,7 +243,7 @@ def _sentences(ranking: Ranking, next_measurement: str) -> Iterator[str]:
         best = ranking.candidate(ranking.effects[0])
         yield (
             f"Identified: {in_words(best.name)} is missing "
-            f"(probability {percent(best.probability)})."
+            f"(probability {_probability(ranking, best)})."
         )
         single = len(best.effects) == 1
         for size in sizes(best):
@@ -270,6 +273,19 @@ def _sentences(ranking: Ranking, next_measurement: str) -> Iterator[str]:
         yield f"To measure next: {next_measurement.strip().rstrip('.')}."
     elif ranking.verdict == "tied":
         yield "No measurement that would split them has been worked out."
+
+
+def _probability(ranking: Ranking, best: Candidate) -> str:
+    """That the best one's effects are missing; and alone, where that is another."""
+    among = sum(
+        one.probability
+        for one in ranking.candidates
+        if set(best.effects) <= set(one.effects)
+    )
+    whole, alone = percent(among), percent(best.probability)
+    if among - best.probability < SHARED:
+        return alone
+    return f"{whole}, nothing besides it {alone}"
 
 
 def log_odds(ranking: Ranking, one: Candidate) -> str:

@@ -114,6 +114,16 @@ def test_identified_says_name_size_and_plausibility() -> None:
     )
 
 
+def test_identified_among_others_says_how_probable_it_is_alone() -> None:
+    ranking = ranked()[1]
+    best = ranking.best
+    fitted = replace(best.fit, hypothesis=replace(best.fit.hypothesis, name="both"))  # type: ignore[type-var]
+    more = replace(best, probability=0.5, fit=fitted)
+    less = replace(best, probability=0.45)
+    made = replace(ranking, candidates=(less, more))
+    assert "(probability 95.0 %, nothing besides it 45 %)" in verdict(made)
+
+
 def test_tied_says_which_why_and_what_next() -> None:
     tied = tie(ranked()[1])
     text = verdict(tied, "device T & U, turned over.")
