@@ -304,7 +304,8 @@ def page(rows: list[dict[str, Any]]) -> str:
             lines += ["", f"## {title}", "", *section(chosen)]
     single = of_kind(rows, "single")
     shown = {row["trial"]["planted"][0] for row in single}
-    weak = sorted(set(catalogue()) - shown)
+    without = {name for kind in KINDS.values() for name in kind.without}
+    weak = sorted(set(catalogue()) - shown - without)
     lines += ["", "## All", ""]
     lines += ["| devices | 1 um noise | 3 um noise | 6 um noise |", "| --- " * 4 + "|"]
     for devices in COUNTS:
@@ -320,7 +321,10 @@ def page(rows: list[dict[str, Any]]) -> str:
         "effect alone, the others a tied group. "
         f"{100 * np.mean(inside) if inside else 0:.0f}% of {len(inside)} planted "
         "parameters lie inside their 90 % interval. Effects that neither lab can move "
-        f"a reading far enough with, within their ranges: {none}.",
+        f"a reading far enough with, within their ranges: {none}. No candidate at all, "
+        "as its paths take too long to be solved by the hundred: "
+        + ", ".join(f"`{name}`" for name in sorted(without))
+        + ".",
         "",
         f"{len(rows)} trials, {np.median(seconds) if seconds else 0:.1f} s each; the "
         f"search asked for {np.median([row['asked'] for row in rows]):.0f} solves of "
