@@ -118,10 +118,12 @@ function download() {
 
 async function start() {
   const [devices, { models }] = await Promise.all([api.devices(), api.models()]);
-  const [model] = models;
+  const model = models.find((one) => one.in_use) ?? models[0];
   const trained = model.description?.n_train;
+  const effects = model.effects?.length ? ` with ${model.effects.join(", ")}` : "";
   element("model").textContent =
-    `Model ${model.version}` + (trained ? `, trained on ${trained} designs` : "");
+    `Model ${model.version}${effects}` +
+    (trained ? `, trained on ${trained} designs` : "");
   view.quantityBoxes(devices.quantities, () => {
     if (answers.length) guarded(() => show(answers, running.signal));
   });
