@@ -397,7 +397,7 @@ def section(rows: list[dict[str, Any]]) -> list[str]:
         most = most if len(most) < 60 else most[:57] + "..."
         shown = f"`{planted[0]}`" if planted else "**all**"
         lines.append(f"| {' | '.join([shown, *cells, most])} |")
-    lines += ["", "| planted | devices | right | otherwise |", "| --- " * 4 + "|"]
+    more: list[str] = []
     for kind, words in (
         ("nothing", "nothing"),
         ("unnamed", "an effect that has no name here"),
@@ -416,8 +416,9 @@ def section(rows: list[dict[str, Any]]) -> list[str]:
                 f"{name} {100 * n / len(chosen):.0f}%"
                 for name, n in sorted(others.items(), key=lambda item: -item[1])
             )
-            lines.append(f"| {words} | {devices} | {share(chosen)} | {told} |")
-    return lines
+            more.append(f"| {words} | {devices} | {share(chosen)} | {told} |")
+    head = ["", "| planted | devices | right | otherwise |", "| --- " * 4 + "|"]
+    return lines + (head + more if more else [])
 
 
 if __name__ == "__main__":
