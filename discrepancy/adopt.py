@@ -21,9 +21,10 @@ from datagen.errors import EffectError, InputError
 
 from .answer import parameters_of
 from .evidence import Fit, fit
-from .ladder import BASELINE, RECALIBRATED, Rung, floor_interval, ladder
+from .heldout import floor_interval, left_out, noise_floor
+from .ladder import BASELINE, RECALIBRATED, Rung, ladder
 from .measurement import Measurements
-from .rank import Candidate, Search, left_out, noise_floor
+from .rank import Candidate, Search
 from .study import Study
 from .words import BEYOND
 

@@ -16,9 +16,9 @@ from datagen.units import DESIGN
 
 from .columns import NUMBERS
 from .evidence import Fit, fit
+from .heldout import left_out, noise_floor
 from .measurement import Measurements
 from .missing import CLAIM, Kind, Labels, Residuals, Score, overall, scores
-from .rank import left_out, noise_floor
 from .regions import Region, regions
 from .repeats import ENOUGH
 from .study import Study

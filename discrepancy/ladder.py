@@ -21,19 +21,12 @@ from scipy.special import stdtrit
 
 from datagen.errors import InputError
 
-from .evidence import Fit
-from .noise import smooth_kernel
+from .heldout import TAIL
 
 Array = np.ndarray
 
 BASELINE, RECALIBRATED, FLOOR = "baseline", "recalibrated", "noise floor"
 """Names of the rungs that have no effect of their own."""
-
-DRAWS = 4000
-"""Made-up sets of residuals behind the floor's interval."""
-
-TAIL = 0.05
-"""Probability beyond each end of an interval."""
 
 JACKKNIFE, NONE = "jackknife", "none"
 
@@ -150,46 +143,6 @@ class Judged:
         half = float(stdtrit(devices - 1, 1 - TAIL) * pseudo.std(ddof=1))
         half = min(half / math.sqrt(devices), 50.0)  # what exp can hold
         return math.exp(whole), math.exp(whole - half), math.exp(whole + half)
-
-
-def shared(one: Fit) -> Array:
-    """(r,) whether a calibration is of several devices, as a batch's modulus is."""
-    columns, device = one.hypothesis.predict(one.t).columns, one.readings.device
-    return np.array(
-        [len(np.unique(device[np.abs(column) > 0])) > 1 for column in columns.T],
-        dtype=bool,
-    )
-
-
-def floor_interval(one: Fit, seed: int, draws: int = DRAWS) -> tuple[float, float]:
-    """Where the held-out error lies when nothing is missing, in 90 % of such sets.
-
-    Residuals are drawn as `rank.noise_floor` counts them: independent noise, smooth
-    errors along each curve, and the tolerances that a device has for itself.
-
-    Parameters
-    ----------
-    one : Fit
-        Of the hypothesis that is taken for true.
-    seed, draws : int
-    """
-    rng = np.random.default_rng(seed)
-    readings, n = one.readings, len(one.readings.value)
-    smooth = one.amplitude("smooth")
-    columns = one.hypothesis.predict(one.t).columns[:, ~shared(one)]
-    parts = [rng.standard_normal((draws, n))]
-    tolerance = rng.standard_normal((draws, columns.shape[1])) @ columns.T
-    parts.append(tolerance / one.noise)
-    bent = np.zeros((draws, n))
-    for curve in np.unique(readings.curve) if readings.correlated else ():
-        at = np.flatnonzero(readings.curve == curve)
-        kernel = smooth_kernel(readings.place[at]) + 1e-10 * np.eye(len(at))
-        amplitude = smooth.get(int(readings.group[at[0]]), 0.0) * readings.scale[at]
-        drawn = rng.standard_normal((draws, len(at))) @ np.linalg.cholesky(kernel).T
-        bent[:, at] = drawn * amplitude / one.noise[at]
-    errors = np.sqrt(((parts[0] + parts[1] + bent) ** 2).mean(axis=1))
-    low, high = np.quantile(errors, [TAIL, 1 - TAIL])
-    return float(low), float(high)
 
 
 def ladder(

@@ -125,6 +125,15 @@ class Hyper:
     centre: Array
     width: Array
 
+    def aligned(self, names: tuple[str, ...], eta: Array) -> Array:
+        """Log amplitudes (h,) in this order, from those of other readings.
+
+        An amplitude that the others have not is at its centre.
+        """
+        known = dict(zip(names, eta, strict=True))
+        found = [known.get(n, c) for n, c in zip(self.names, self.centre, strict=True)]
+        return np.array(found)
+
     def log_prior(self, eta: Array) -> float:
         """Log density of log amplitudes."""
         z = (eta - self.centre) / self.width

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .evidence import Fit, Hypothesis, fit
+from .heldout import held_out, noise_floor
 from .hypotheses import Null, Present
 from .study import Study
 from .weighing import HOPELESS, nearest, probabilities, sound, weigh
@@ -476,61 +477,6 @@ def _verdict(
     if unnamed > 0.5:
         return "unexplained", ()
     return ("identified" if len(ties) == 1 else "tied"), ties
-
-
-def left_out(one: Fit) -> Array:
-    """(n,) residuals, over the noise, of devices left out one at a time.
-
-    Calibrations that a left-out device shares (batch moduli) are those of the others;
-    its own (thickness, camera) are at their stated values.  NaN where there is but one
-    device.
-    """
-    readings = one.readings
-    residuals = np.full(len(readings.value), np.nan)
-    for device in np.unique(readings.device):
-        out = readings.device == device
-        if out.all():
-            break
-        same = set(readings.group[~out]) == set(readings.group)
-        others = fit(
-            readings,
-            one.hypothesis,
-            keep=~out,
-            starts=[one.t],
-            eta=one.eta if same else None,
-            fixed=same,  # one device hardly moves the amplitudes of all
-            evidence=False,
-        )
-        residuals[out] = (readings.value - others.predict())[out] / one.noise[out]
-    return residuals
-
-
-def held_out(one: Fit) -> float:
-    """Root mean square of `left_out`; NaN where there is but one device."""
-    return float(np.sqrt(np.mean(left_out(one) ** 2)))
-
-
-def noise_floor(one: Fit) -> float:
-    """Held-out error that the right physics would have.
-
-    Independent noise, smooth errors inside a curve, and the tolerances of a device that
-    was not measured: what is expected of the residual when a hypothesis is true.
-    """
-    readings = one.readings
-    smooth = one.amplitude("smooth")
-    own = np.array([smooth.get(int(g), 0.0) for g in readings.group]) * readings.scale
-    columns = one.hypothesis.predict(one.t).columns
-    # Moduli are shared, and known from the other devices; the rest is the device's own.
-    shared = np.array(
-        [
-            len(np.unique(readings.device[np.abs(column) > 0])) > 1
-            for column in columns.T
-        ],
-        dtype=bool,
-    )
-    tolerance = (columns[:, ~shared] ** 2).sum(axis=1)
-    variance = 1 + (own**2 + tolerance) / one.noise**2
-    return float(np.sqrt(variance.mean()))
 
 
 def confusion(

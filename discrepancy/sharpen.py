@@ -61,15 +61,7 @@ def deviations(one: Fit) -> Array:
     """(k,) standard deviations of the coordinates that readings like these leave."""
     frame = Frame(one.readings)
     target = Target(frame, np.ones(len(one.readings.value), bool), one.hypothesis)
-    known = dict(zip(one.hyper.names, one.eta, strict=True))
-    eta = np.array(
-        [
-            known.get(name, middle)
-            for name, middle in zip(
-                target.hyper.names, target.hyper.centre, strict=True
-            )
-        ]
-    )
+    eta = target.hyper.aligned(one.hyper.names, one.eta)
     _, slopes, columns = target.look(one.t)
     inverse = slopes.T @ target.covariance(eta, columns).solve(slopes)
     # An even prior on [0, 1] has a variance of 1/12.

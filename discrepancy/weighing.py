@@ -42,14 +42,7 @@ def nearest(
     readings = replace(truth.readings, value=values)
     frame = Frame(readings.subset(keep))
     target = Target(frame, keep, hypothesis)
-    eta = np.array(
-        [
-            dict(zip(truth.hyper.names, truth.eta, strict=True)).get(name, middle)
-            for name, middle in zip(
-                target.hyper.names, target.hyper.centre, strict=True
-            )
-        ]
-    )
+    eta = target.hyper.aligned(truth.hyper.names, truth.eta)
     off = np.array([prior.off for prior in hypothesis.priors])
     best, cost = off, math.inf
     for start in (off, *starts):

@@ -16,9 +16,9 @@ from discrepancy.adopt import adopt, emulation_error, joined, resampled
 from discrepancy.adopt_figures import ladder_figure
 from discrepancy.adopt_report import adopt_report
 from discrepancy.experiment import proposals
-from discrepancy.ladder import Judged, Rung, floor_interval, ladder
+from discrepancy.heldout import floor_interval, left_out, noise_floor
+from discrepancy.ladder import Judged, Rung, ladder
 from discrepancy.measurement import Measurements, Tolerances
-from discrepancy.rank import left_out, noise_floor
 from discrepancy.sharpen import Sharpening, deviations, sharpen
 from discrepancy.version import ModelVersion, rung_json
 from tests.discrepancy.adopted import (

@@ -1,0 +1,103 @@
+"""Errors on devices that took no part in a fit, and what a right model would have."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .evidence import Fit, fit
+from .noise import smooth_kernel
+
+Array = np.ndarray
+
+DRAWS = 4000
+"""Made-up sets of residuals behind the floor's interval."""
+
+TAIL = 0.05
+"""Probability beyond each end of an interval."""
+
+
+def left_out(one: Fit) -> Array:
+    """(n,) residuals, over the noise, of devices left out one at a time.
+
+    Calibrations that a left-out device shares (batch moduli) are those of the others;
+    its own (thickness, camera) are at their stated values.  NaN where there is but one
+    device.
+    """
+    readings = one.readings
+    residuals = np.full(len(readings.value), np.nan)
+    for device in np.unique(readings.device):
+        out = readings.device == device
+        if out.all():
+            break
+        same = set(readings.group[~out]) == set(readings.group)
+        others = fit(
+            readings,
+            one.hypothesis,
+            keep=~out,
+            starts=[one.t],
+            eta=one.eta if same else None,
+            fixed=same,  # one device hardly moves the amplitudes of all
+            evidence=False,
+        )
+        residuals[out] = (readings.value - others.predict())[out] / one.noise[out]
+    return residuals
+
+
+def held_out(one: Fit) -> float:
+    """Root mean square of `left_out`; NaN where there is but one device."""
+    return float(np.sqrt(np.mean(left_out(one) ** 2)))
+
+
+def noise_floor(one: Fit) -> float:
+    """Held-out error that the right physics would have.
+
+    Independent noise, smooth errors inside a curve, and the tolerances of a device that
+    was not measured: what is expected of the residual when a hypothesis is true.
+    """
+    readings = one.readings
+    smooth = one.amplitude("smooth")
+    own = np.array([smooth.get(int(g), 0.0) for g in readings.group]) * readings.scale
+    # Moduli are shared, and known from the other devices; the rest is the device's own.
+    columns = one.hypothesis.predict(one.t).columns[:, ~shared(one)]
+    variance = 1 + (own**2 + (columns**2).sum(axis=1)) / one.noise**2
+    return float(np.sqrt(variance.mean()))
+
+
+def shared(one: Fit) -> Array:
+    """(r,) whether a calibration is of several devices, as a batch's modulus is."""
+    columns, device = one.hypothesis.predict(one.t).columns, one.readings.device
+    return np.array(
+        [len(np.unique(device[np.abs(column) > 0])) > 1 for column in columns.T],
+        dtype=bool,
+    )
+
+
+def floor_interval(one: Fit, seed: int, draws: int = DRAWS) -> tuple[float, float]:
+    """Where the held-out error lies when nothing is missing, in 90 % of such sets.
+
+    Residuals are drawn as `noise_floor` counts them: independent noise, smooth
+    errors along each curve, and the tolerances that a device has for itself.
+
+    Parameters
+    ----------
+    one : Fit
+        Of the hypothesis that is taken for true.
+    seed, draws : int
+    """
+    rng = np.random.default_rng(seed)
+    readings, n = one.readings, len(one.readings.value)
+    smooth = one.amplitude("smooth")
+    columns = one.hypothesis.predict(one.t).columns[:, ~shared(one)]
+    parts = [rng.standard_normal((draws, n))]
+    tolerance = rng.standard_normal((draws, columns.shape[1])) @ columns.T
+    parts.append(tolerance / one.noise)
+    bent = np.zeros((draws, n))
+    for curve in np.unique(readings.curve) if readings.correlated else ():
+        at = np.flatnonzero(readings.curve == curve)
+        kernel = smooth_kernel(readings.place[at]) + 1e-10 * np.eye(len(at))
+        amplitude = smooth.get(int(readings.group[at[0]]), 0.0) * readings.scale[at]
+        drawn = rng.standard_normal((draws, len(at))) @ np.linalg.cholesky(kernel).T
+        bent[:, at] = drawn * amplitude / one.noise[at]
+    errors = np.sqrt(((parts[0] + parts[1] + bent) ** 2).mean(axis=1))
+    low, high = np.quantile(errors, [TAIL, 1 - TAIL])
+    return float(low), float(high)
