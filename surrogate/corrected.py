@@ -22,15 +22,21 @@ import numpy as np
 
 from datagen.device import Design
 from datagen.errors import InputError
-from datagen.response import CONVERGED, Response
 from datagen.response import Path as LoadPath
+from datagen.response import Response
 from datagen.space import Parameter, Space
-from datagen.worker import NO_STEP
 
 from .calibration import ONE_SIGMA, Calibration, Spread
 from .domain import RangeCheck
 from .effect_terms import changed
-from .ensemble import CHUNK, Ensemble, Prediction, design_columns, stacked
+from .ensemble import (
+    CHUNK,
+    Ensemble,
+    Prediction,
+    answered,
+    design_columns,
+    stacked,
+)
 from .equivalent import Equivalent
 from .expansion import Answers, Expansion
 from .features import Features, Prepared, features, prepare
@@ -355,25 +361,12 @@ class Corrected:
     def _response(
         self, pressure: Array, values: Array, sigma: Array, limit: Limit
     ) -> Response:
-        n, _ = pressure.shape
-        given = np.isfinite(pressure)
-        highest = np.nanmax(pressure, axis=1)
-        met = np.isfinite(limit.std) & (limit.pressure <= highest)
-        return Response(
-            outputs=self.outputs,
-            pressure=pressure,
-            values=values,
-            std=sigma,
-            status=np.where(given, CONVERGED, NO_STEP),
-            path_status=("completed",) * n,
-            limit_pressure=np.where(met, limit.pressure, np.nan),
-            message=("",) * n,
-            info={
-                "source": "surrogate",
-                "version": self.version,
-                "effects": list(self.effects),
-            },
-        )
+        info = {
+            "source": "surrogate",
+            "version": self.version,
+            "effects": list(self.effects),
+        }
+        return answered(self.outputs, pressure, values, sigma, limit, info)
 
 
 def ask(

@@ -7,33 +7,28 @@ nothing in any file can run code.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datagen.atomic import reason, replacing
 from datagen.dataset import space_to_json
 from datagen.errors import FileError
 from datagen.space import Parameter, Space
 
+from . import files
 from .calibration import Calibration
 from .corrected import Corrected
 from .ensemble import Ensemble
 from .equivalent import Equivalent
 from .expansion import Expansion
-from .features import FEATURES_VERSION
+from .files import MODEL, Kind, part
 from .network import Stack
 from .shift import Shift
-from .store import MODEL, WEIGHTS, bytes_of, part
 
 Array = np.ndarray
 
-SCHEMA = "pba-corrected"
-SCHEMA_VERSION = 1
-"""Raised whenever an older reader would misread a newer model."""
+KIND = Kind("pba-corrected", 1, "learn the effects again")
 
 BASE = "base"
 """Folder of the base model, inside that of the corrected one."""
@@ -64,9 +59,7 @@ def arrays_of(model: Corrected) -> dict[str, Array]:
 def content_of(model: Corrected) -> dict[str, Any]:
     """What the model answers by, beside its arrays."""
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "features_version": FEATURES_VERSION,
+        **KIND.head,
         "base_version": model.base.version,
         "space": space_to_json(model.space),
         "effects": list(model.effects),
@@ -77,10 +70,7 @@ def content_of(model: Corrected) -> dict[str, Any]:
 
 def content_digest(model: Corrected) -> str:
     """SHA-256 of what the model answers by; its description is no part of it."""
-    sha = hashlib.sha256(json.dumps(content_of(model), sort_keys=True).encode())
-    for name, array in sorted(arrays_of(model).items()):
-        sha.update(f"{name} {array.dtype} {array.shape}\n".encode() + array.tobytes())
-    return sha.hexdigest()
+    return files.digest(content_of(model), arrays_of(model))
 
 
 def write(model: Corrected, folder: Path) -> None:
@@ -91,70 +81,25 @@ def write(model: Corrected, folder: Path) -> None:
     FileError
         When the folder or a file cannot be written.
     """
-    from safetensors.numpy import save
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(folder, f"cannot be made: {reason(error)}") from error
+    files.make(folder)
     model.base.save(folder / BASE)
-    weights = save(arrays_of(model))
-    content = content_of(model) | {
-        "version": model.version,
-        "weights_sha256": hashlib.sha256(weights).hexdigest(),
-        "parameters": {k: dict(v) for k, v in model.parameters.items()},
-        "description": model.description,
-    }
-    with replacing(folder / WEIGHTS) as temporary:
-        temporary.write_bytes(weights)
-    with replacing(folder / MODEL) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n")
+    files.write(model, folder, content_of(model), arrays_of(model))
 
 
 def read(folder: Path) -> Corrected:
     """Read and check a model; see `Corrected.load`."""
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
 
-    path = folder / MODEL
-    try:
-        content = json.loads(bytes_of(path))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FileError(path, f"not JSON: {error}") from error
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise FileError(path, f"not a {SCHEMA}")
-    for key, own in (
-        ("schema_version", SCHEMA_VERSION),
-        ("features_version", FEATURES_VERSION),
-    ):
-        if content.get(key) != own:
+    def build(content: dict[str, Any], arrays: dict[str, Array]) -> Corrected:
+        base = Ensemble.load(folder / BASE)
+        if base.version != content["base_version"]:
             raise FileError(
-                path,
-                f"{key.replace('_', ' ')} {content.get(key)}; this program has {own}: "
-                "learn the effects again",
+                folder / BASE,
+                f"version {base.version}, {MODEL} was learned on "
+                f"{content['base_version']}",
             )
-    base = Ensemble.load(folder / BASE)
-    if base.version != content.get("base_version"):
-        raise FileError(
-            folder / BASE,
-            f"version {base.version}, {MODEL} was learned on "
-            f"{content.get('base_version')}",
-        )
-    weights = bytes_of(folder / WEIGHTS)
-    if hashlib.sha256(weights).hexdigest() != content.get("weights_sha256"):
-        raise FileError(
-            folder / WEIGHTS, f"damaged, or not the weights that {MODEL} names"
-        )
-    try:
-        model = _build(base, content, load(weights))
-        intact = model.version == content["version"]
-    except SafetensorError as error:
-        raise FileError(folder / WEIGHTS, f"not a safetensors file: {error}") from error
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise FileError(path, f"damaged or incomplete: {error}") from error
-    if not intact:
-        raise FileError(path, "damaged: its content does not match its version")
-    return model
+        return _build(base, content, arrays)
+
+    return files.read(folder, KIND, build)
 
 
 def _build(

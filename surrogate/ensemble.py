@@ -247,21 +247,33 @@ class Ensemble:
     def _response(
         self, pressure: Array, answers: Answers, scale: Array, limit: Limit
     ) -> Response:
-        n, _ = pressure.shape
-        given = np.isfinite(pressure)
-        highest = np.nanmax(pressure, axis=1)
-        met = np.isfinite(limit.std) & (limit.pressure <= highest)
-        return Response(
-            outputs=self.outputs,
-            pressure=pressure,
-            values=answers.mean,
-            std=self.calibration.quantile(ONE_SIGMA) * scale,
-            status=np.where(given, CONVERGED, NO_STEP),
-            path_status=("completed",) * n,
-            limit_pressure=np.where(met, limit.pressure, np.nan),
-            message=("",) * n,
-            info={"source": "surrogate", "version": self.version},
-        )
+        std = self.calibration.quantile(ONE_SIGMA) * scale
+        info = {"source": "surrogate", "version": self.version}
+        return answered(self.outputs, pressure, answers.mean, std, limit, info)
+
+
+def answered(
+    outputs: tuple[str, ...],
+    pressure: Array,
+    values: Array,
+    std: Array,
+    limit: Limit,
+    info: dict[str, Any],
+) -> Response:
+    """What a surrogate answers along paths (n, s), its limit where they meet it."""
+    n, _ = pressure.shape
+    met = np.isfinite(limit.std) & (limit.pressure <= np.nanmax(pressure, axis=1))
+    return Response(
+        outputs=outputs,
+        pressure=pressure,
+        values=values,
+        std=std,
+        status=np.where(np.isfinite(pressure), CONVERGED, NO_STEP),
+        path_status=("completed",) * n,
+        limit_pressure=np.where(met, limit.pressure, np.nan),
+        message=("",) * n,
+        info=info,
+    )
 
 
 def reference_model() -> Ensemble:

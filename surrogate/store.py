@@ -1,49 +1,27 @@
-"""The two files of a model: ``model.json`` and ``weights.safetensors``.
-
-The JSON names the version of everything it depends on and the SHA-256 of the weights;
-a file that is damaged, or was trained by another version, is refused in one line.
-"""
+"""What is in the files of an ensemble."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datagen.atomic import reason, replacing
 from datagen.dataset import space_to_json
-from datagen.errors import FileError
 from datagen.space import Parameter, Space
 
+from . import files
 from .calibration import Calibration
 from .domain import Domain
 from .ensemble import Ensemble
 from .expansion import Expansion
-from .features import FEATURES_VERSION
+from .files import Kind, part
 from .limit import LimitModel
 from .network import Stack
 
 Array = np.ndarray
 
-SCHEMA = "pba-ensemble"
-SCHEMA_VERSION = 1
-"""Raised whenever an older reader would misread a newer model."""
-
-MODEL, WEIGHTS = "model.json", "weights.safetensors"
-
-CONTENT = (
-    "outputs",
-    "space",
-    "effects",
-    "limit_shift",
-    "calibration_designs",
-    "max_pressure_Pa",
-    "allowed_distance",
-)
-"""Keys of the JSON that decide what the model answers."""
+KIND = Kind("pba-ensemble", 1, "train the model again")
 
 
 def arrays_of(ensemble: Ensemble) -> dict[str, Array]:
@@ -77,9 +55,7 @@ def content_of(ensemble: Ensemble) -> dict[str, Any]:
     """What the model answers by, beside its arrays."""
     e = ensemble
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "features_version": FEATURES_VERSION,
+        **KIND.head,
         "outputs": list(e.outputs),
         "space": space_to_json(e.space),
         "effects": list(e.effects),
@@ -92,76 +68,17 @@ def content_of(ensemble: Ensemble) -> dict[str, Any]:
 
 def content_digest(ensemble: Ensemble) -> str:
     """SHA-256 of what the model answers by; its description is no part of it."""
-    sha = hashlib.sha256(json.dumps(content_of(ensemble), sort_keys=True).encode())
-    for name, array in sorted(arrays_of(ensemble).items()):
-        sha.update(f"{name} {array.dtype} {array.shape}\n".encode() + array.tobytes())
-    return sha.hexdigest()
+    return files.digest(content_of(ensemble), arrays_of(ensemble))
 
 
 def write(ensemble: Ensemble, folder: Path) -> None:
-    """Write both files, the weights first; an older model stays until then.
-
-    Raises
-    ------
-    FileError
-        When the folder or a file cannot be written.
-    """
-    from safetensors.numpy import save
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(folder, f"cannot be made: {reason(error)}") from error
-    weights = save(arrays_of(ensemble))
-    model = content_of(ensemble) | {
-        "version": ensemble.version,
-        "weights_sha256": hashlib.sha256(weights).hexdigest(),
-        "parameters": {k: dict(v) for k, v in ensemble.parameters.items()},
-        "description": ensemble.description,
-    }
-    with replacing(folder / WEIGHTS) as temporary:
-        temporary.write_bytes(weights)
-    with replacing(folder / MODEL) as temporary:
-        temporary.write_text(json.dumps(model, indent=1) + "\n")
+    """Write both files; see `files.write`."""
+    files.write(ensemble, folder, content_of(ensemble), arrays_of(ensemble))
 
 
 def read(folder: Path) -> Ensemble:
     """Read and check a model; see `Ensemble.load`."""
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    path = folder / MODEL
-    try:
-        model = json.loads(bytes_of(path))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FileError(path, f"not JSON: {error}") from error
-    if not isinstance(model, dict) or model.get("schema") != SCHEMA:
-        raise FileError(path, f"not a {SCHEMA}")
-    for key, own in (
-        ("schema_version", SCHEMA_VERSION),
-        ("features_version", FEATURES_VERSION),
-    ):
-        if model.get(key) != own:
-            raise FileError(
-                path,
-                f"{key.replace('_', ' ')} {model.get(key)}; this program has {own}: "
-                "train the model again",
-            )
-    weights = bytes_of(folder / WEIGHTS)
-    if hashlib.sha256(weights).hexdigest() != model.get("weights_sha256"):
-        raise FileError(
-            folder / WEIGHTS, f"damaged, or not the weights that {MODEL} names"
-        )
-    try:
-        ensemble = _build(model, load(weights))
-        intact = ensemble.version == model["version"]
-    except SafetensorError as error:
-        raise FileError(folder / WEIGHTS, f"not a safetensors file: {error}") from error
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise FileError(path, f"damaged or incomplete: {error}") from error
-    if not intact:
-        raise FileError(path, "damaged: its content does not match its version")
-    return ensemble
+    return files.read(folder, KIND, _build)
 
 
 def _build(model: dict[str, Any], arrays: dict[str, Array]) -> Ensemble:
@@ -190,19 +107,3 @@ def _build(model: dict[str, Any], arrays: dict[str, Array]) -> Ensemble:
         description=dict(model["description"]),
         parameters=model["parameters"],
     )
-
-
-def part(arrays: dict[str, Array], prefix: str) -> dict[str, Array]:
-    """Arrays whose name begins with ``prefix.``, by the rest of it."""
-    cut = len(prefix) + 1
-    return {k[cut:]: v for k, v in arrays.items() if k.startswith(f"{prefix}.")}
-
-
-def bytes_of(path: Path) -> bytes:
-    """Content of a file, or a `FileError`."""
-    if not path.exists():
-        raise FileError(path, "does not exist")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise FileError(path, f"cannot be read: {reason(error)}") from error
