@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.atomic import replacing
+from datagen.atomic import write_text
 
 Array = np.ndarray
 
@@ -107,8 +107,7 @@ class Record:
         return tip, inflation
 
     def write(self, path: Path) -> None:
-        with replacing(path) as temporary:
-            temporary.write_text(json.dumps(asdict(self), indent=1) + "\n")
+        write_text(path, json.dumps(asdict(self), indent=1) + "\n")
 
     @classmethod
     def read(cls, path: Path) -> Record:

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from .atomic import TEMPORARY, reason, replacing, sync
+from .atomic import TEMPORARY, reason, replacing, sync, write_text
 from .dataset import Dataset, space_to_json
 from .errors import FileError, InputError
 from .worker import Row, Task
@@ -201,8 +201,7 @@ class Parts:
             raise FileError(path, "not a manifest; remove its folder")
         elif not self.out.exists():
             # Killed before it was written, or a fresh run.
-            with replacing(path) as temporary:
-                temporary.write_text(self._manifest.to_json())
+            write_text(path, self._manifest.to_json())
 
     def write(self, task: Task, row: Row) -> None:
         """Keep one finished path; on disk when this returns."""

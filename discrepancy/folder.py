@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from datagen.atomic import TEMPORARY, reason, sync
 from datagen.errors import EffectError, FileError, InputError
 
-from .layout import EFFECTS, MODEL, SCHEMA, SCHEMA_VERSION
+from .layout import EFFECTS, MODEL, SCHEMA, SCHEMA_VERSION, record
 from .provenance import digest
 from .version import ModelVersion, content_hash
 
@@ -85,21 +85,9 @@ def read(folder: Path) -> ModelVersion:
     """
     path = folder / MODEL
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = record(path, SCHEMA, SCHEMA_VERSION, "is not a model version")
     except (FileNotFoundError, NotADirectoryError) as error:
         raise FileError(folder, f"no model version: no {MODEL} in it") from error
-    except OSError as error:
-        raise FileError(path, f"cannot be read: {reason(error)}") from error
-    except ValueError as error:
-        raise FileError(path, "is damaged: not JSON") from error
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise FileError(path, "is not a model version")
-    if data.get("schema_version") != SCHEMA_VERSION:
-        raise FileError(
-            path,
-            f"has schema version {data.get('schema_version')!r}; this program reads "
-            f"{SCHEMA_VERSION}",
-        )
     try:
         found = ModelVersion.from_json(data)
         whole = content_hash(found.to_json()) == data["sha256"]

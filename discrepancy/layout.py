@@ -12,6 +12,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
+
+from datagen.atomic import reason
+from datagen.errors import FileError
 
 SCHEMA, SCHEMA_VERSION = "pba-model-version", 1
 """Raised whenever an older reader would misread a newer folder."""
@@ -20,6 +24,44 @@ MODEL, EFFECTS, SURROGATE = "model.json", "effects", "surrogate"
 
 BASELINE = "baseline"
 """The model without adopted effects: the first parent."""
+
+
+def record(path: Path, schema: str, version: int, other: str) -> dict[str, Any]:
+    """A JSON file that names its schema.
+
+    Parameters
+    ----------
+    path : Path
+    schema : str
+    version : int
+        The only one that is read.
+    other : str
+        What is said of a file of another schema.
+
+    Raises
+    ------
+    FileNotFoundError, NotADirectoryError
+        When there is none.
+    FileError
+        When it cannot be read, is damaged, or is of another schema or version.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise
+    except OSError as error:
+        raise FileError(path, f"cannot be read: {reason(error)}") from error
+    except ValueError as error:
+        raise FileError(path, "is damaged: not JSON") from error
+    if not isinstance(data, dict) or data.get("schema") != schema:
+        raise FileError(path, other)
+    if data.get("schema_version") != version:
+        raise FileError(
+            path,
+            f"has schema version {data.get('schema_version')!r}; this program reads "
+            f"{version}",
+        )
+    return data
 
 
 def is_version(folder: Path) -> bool:

@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.atomic import TEMPORARY, reason, replacing, sync
+from datagen.atomic import TEMPORARY, reason, sync, write_text
 from datagen.errors import FileError, InputError
 
-from .layout import BASELINE, is_version
+from .layout import BASELINE, is_version, record
 
 if TYPE_CHECKING:
     from .version import ModelVersion
@@ -275,21 +275,11 @@ class Workspace:
         """Names in use, the one in use now last; the baseline where nothing is said."""
         path = self.folder / CURRENT
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = record(
+                path, SCHEMA, SCHEMA_VERSION, "does not say which version is in use"
+            )
         except (FileNotFoundError, NotADirectoryError):
             return [BASELINE]
-        except OSError as error:
-            raise FileError(path, f"cannot be read: {reason(error)}") from error
-        except ValueError as error:
-            raise FileError(path, "is damaged: not JSON") from error
-        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-            raise FileError(path, "does not say which version is in use")
-        if data.get("schema_version") != SCHEMA_VERSION:
-            raise FileError(
-                path,
-                f"has schema version {data.get('schema_version')!r}; this program "
-                f"reads {SCHEMA_VERSION}",
-            )
         before, name = data.get("before"), data.get("current")
         given = [*before, name] if isinstance(before, list) else [None]
         names = [one for one in given if isinstance(one, str) and NAME.fullmatch(one)]
@@ -305,8 +295,7 @@ class Workspace:
             "current": history[-1],
             "before": list(history[:-1])[-KEPT:],
         }
-        with replacing(self.folder / CURRENT) as temporary:
-            temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        write_text(self.folder / CURRENT, json.dumps(data, indent=1) + "\n")
 
 
 def _without(history: Sequence[str], name: str) -> list[str]:

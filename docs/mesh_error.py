@@ -18,7 +18,7 @@ from pathlib import Path as FilePath
 import numpy as np
 from scipy.stats import t as student
 
-from datagen.atomic import replacing
+from datagen.atomic import write_text
 from datagen.mesh import COARSER, LEVELS
 from datagen.mesh_error import FACTORS, Factors, calibrated_meshes, factors
 from datagen.response import OUTPUT_NAMES
@@ -191,10 +191,9 @@ def write_factors(cases: Cases, published: Cases) -> None:
         "designs_with_limit_point": found["standard"].turned,
         "levels": levels,
     }
-    with replacing(FACTORS) as temporary:
-        text = json.dumps(content, indent=1)
-        flat = re.sub(r"\[[^\[\]]+\]", lambda m: "".join(m[0].split()), text)
-        temporary.write_text(flat.replace(",", ", ").replace(", \n", ",\n") + "\n")
+    text = json.dumps(content, indent=1)
+    flat = re.sub(r"\[[^\[\]]+\]", lambda m: "".join(m[0].split()), text)
+    write_text(FACTORS, flat.replace(",", ", ").replace(", \n", ",\n") + "\n")
 
 
 def table(head: list[str], rows: list[list[str]]) -> list[str]:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.atomic import replacing
+from datagen.atomic import write_text
 from datagen.device import named_device
 from datagen.mesh import MeshLevel
 from datagen.problem import baseline
@@ -172,8 +172,7 @@ def main(cases: str = "1,2,3,4", meshes: str = "3") -> None:
                     print(name, flush=True)
                     runs[name] = run(case, family, level)
                     runs = known() | runs
-                    with replacing(RUNS) as temporary:
-                        temporary.write_text(json.dumps(runs, indent=1) + "\n")
+                    write_text(RUNS, json.dumps(runs, indent=1) + "\n")
                     PAGE.write_text(page(runs))
     PAGE.write_text(page(runs))
 

@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from datagen.errors import InputError
+from datagen.atomic import write_text
 
 from .discrepancy import (
     Cache,
     CameraTolerance,
     ModulusTolerance,
+    Report,
+    Seed,
     ThicknessTolerance,
     Workers,
     measurements_of,
     solving,
 )
-from .options import AsJson, EffectsDir, Level, WorkspaceDir, whole
+from .options import AsJson, EffectsDir, Level, WorkspaceDir
 from .terminal import print_json, print_rich
 
 if TYPE_CHECKING:
@@ -62,14 +64,8 @@ def adopt(
         bool,
         Option("--use/--no-use", help="Put it into use in its workspace."),
     ] = True,
-    seed: Annotated[
-        int,
-        Option(help="Of the samples.", parser=whole("--seed", 0, 2**31), metavar="N"),
-    ] = 0,
-    report: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="Write a report, one HTML file, as well."),
-    ] = None,
+    seed: Seed = 0,
+    report: Report = None,
     as_json: AsJson = False,
 ) -> None:
     """Put effects into the model, fitted to measurements; before and after.
@@ -84,8 +80,6 @@ def adopt(
         measurements_of(file, modulus_tolerance, thickness_tolerance, camera_tolerance)
         for file in files
     ]
-    if report is not None and not report.parent.is_dir():
-        raise InputError("--report", str(report), "a file in a folder that exists")
     found = adopted(
         names,
         measured,
@@ -100,10 +94,7 @@ def adopt(
         seed=seed,
     )
     if report is not None:
-        from datagen.atomic import replacing
-
-        with replacing(report) as temporary:
-            temporary.write_text(found.page, encoding="utf-8")
+        write_text(report, found.page)
     if as_json:
         print_json(found.to_json())
         return

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated
 from rich.table import Table
 from typer import Argument, Option
 
+from datagen.errors import InputError
+
 from .options import AsJson, Level, number, whole
 from .terminal import Stopped, print_json, print_rich, progress_bar
 
@@ -72,6 +74,26 @@ Cache = Annotated[
 ]
 
 
+def _report(text: str) -> Path:
+    """Parser of ``--report``: refuses what could not be written, before the work."""
+    path = Path(text)
+    if not path.parent.is_dir():
+        raise InputError("--report", text, "a file in a folder that exists")
+    return path
+
+
+Seed = Annotated[
+    int,
+    Option(help="Of the samples.", parser=whole("--seed", 0, 2**31), metavar="N"),
+]
+Report = Annotated[
+    Path | None,
+    Option(
+        metavar="FILE", help="Write a report, one HTML file, as well.", parser=_report
+    ),
+]
+
+
 def measurements_of(
     file: Path, modulus: float, thickness: float, camera: float
 ) -> Measurements:
@@ -82,11 +104,11 @@ def measurements_of(
     FileError, MeasurementError, InputError
         When the file, a line of it or a tolerance is not allowed.
     """
-    from discrepancy.measurement import Tolerances
     from discrepancy.reading import read_measurements
 
-    allowed = Tolerances(modulus / 100, thickness * 1e-6, camera / 100)
-    return read_measurements(file, allowed)
+    from .measurements import tolerances
+
+    return read_measurements(file, tolerances(modulus, thickness, camera))
 
 
 def cores() -> int:

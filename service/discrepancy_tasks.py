@@ -113,10 +113,9 @@ def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
 def _kept(payload: Mapping[str, Any], page: str) -> str:
     """Write a report to where the payload says; the path."""
-    from datagen.atomic import replacing
+    from datagen.atomic import write_text
 
     out = Path(payload["out"])
     out.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(out) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(out, page)
     return str(out)

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.markup import escape
 from rich.table import Table
 from typer import Option
 
-from datagen.errors import InputError
+from datagen.atomic import write_text
 
 from .discrepancy import (
     Cache,
     CameraTolerance,
     MeasurementFile,
     ModulusTolerance,
+    Report,
+    Seed,
     ThicknessTolerance,
     Workers,
     measurements_of,
     solving,
 )
-from .options import AsJson, EffectsDir, Level, whole
+from .options import AsJson, EffectsDir, Level
 from .terminal import print_json, print_rich
 
 if TYPE_CHECKING:
@@ -47,14 +48,8 @@ def rank(
     camera_tolerance: CameraTolerance = 0.5,
     workers: Workers = None,
     cache: Cache = None,
-    seed: Annotated[
-        int,
-        Option(help="Of the samples.", parser=whole("--seed", 0, 2**31), metavar="N"),
-    ] = 0,
-    report: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="Write a report, one HTML file, as well."),
-    ] = None,
+    seed: Seed = 0,
+    report: Report = None,
     as_json: AsJson = False,
 ) -> None:
     """Learn which physical effect the model lacks, from measurements.
@@ -67,8 +62,6 @@ def rank(
         file, modulus_tolerance, thickness_tolerance, camera_tolerance
     )
     names = [name for name in effects.split(",") if name] or None
-    if report is not None and not report.parent.is_dir():
-        raise InputError("--report", str(report), "a file in a folder that exists")
     with solving(workers, cache, as_json) as solver:
         found = ranked(
             measured,
@@ -79,10 +72,7 @@ def rank(
             seed=seed,
         )
     if report is not None:
-        from datagen.atomic import replacing
-
-        with replacing(report) as temporary:
-            temporary.write_text(found.page)
+        write_text(report, found.page)
     if as_json:
         print_json(found.to_json())
         return

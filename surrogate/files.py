@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from datagen.atomic import reason, replacing
+from datagen.atomic import reason, replacing, write_text
 from datagen.errors import FileError
 
 from .features import FEATURES_VERSION
@@ -112,8 +112,7 @@ def write(
     }
     with replacing(folder / WEIGHTS) as temporary:
         temporary.write_bytes(weights)
-    with replacing(folder / MODEL) as temporary:
-        temporary.write_text(json.dumps(whole, indent=1) + "\n")
+    write_text(folder / MODEL, json.dumps(whole, indent=1) + "\n")
 
 
 def read(

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.atomic import reason, replacing, sync
+from datagen.atomic import reason, sync, write_text
 from datagen.dataset import Dataset
 from datagen.device import Design
 from datagen.errors import FileError, InputError
@@ -187,7 +187,7 @@ def learn(
             seconds = _one_path(first, dataset, level, effects_dir, means.solve)
             count = _affordable(minutes, seconds, max(workers, 1))
         begun = wanted | {"count": count}
-        _write_json(work / PLAN, begun)
+        write_text(work / PLAN, json.dumps(begun, indent=1) + "\n")
     planned = plan(dataset, space, int(begun["count"]), seed, near, fits)
 
     def solved(state: Progress) -> None:
@@ -277,7 +277,7 @@ def _begin(work: Path, wanted: dict[str, Any], resume: bool) -> dict[str, Any]:
         raise FileError(work, f"cannot be made: {reason(error)}") from error
     path = work / PLAN
     if not path.exists():  # a fresh run, or killed before it was written
-        _write_json(path, wanted)
+        write_text(path, json.dumps(wanted, indent=1) + "\n")
         return wanted
     try:
         found = json.loads(path.read_text())
@@ -307,11 +307,6 @@ def _refusal(existing: Path) -> InputError:
         str(existing),
         "a folder that does not exist yet; --resume goes on with what was begun",
     )
-
-
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n")
 
 
 def _one_path(

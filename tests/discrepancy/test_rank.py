@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.device import named_device
 from datagen.errors import EffectError
 from datagen.model import Model
-from datagen.response import Path as LoadPath
 from discrepancy.answer import to_json
 from discrepancy.evidence import fit
 from discrepancy.experiment import next_measurement
-from discrepancy.measurement import Curve, Measurements
+from discrepancy.measurement import Measurements
 from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from discrepancy.words import verdict
+from tests.discrepancy.three import curves
 
 PRESSURE = np.array([10e3, 25e3, 45e3])
 NOISE = {"tip_deflection": 3e-6, "inflation": 2e-6}
@@ -30,29 +29,8 @@ CANDIDATES = ("cure_mismatch", "pressure_offset")
 
 def measured(effects: dict[str, dict[str, float]]) -> Measurements:
     """Three devices of two batches, measured with noise alone."""
-    rng = np.random.default_rng(4)
     model = Model(tuple(effects), "draft", effects)
-    curves = []
-    for i, (case, thickness) in enumerate(((1, 95e-6), (2, 80e-6), (4, 110e-6))):
-        design = named_device("S1", case).with_values(upper_thickness=thickness)
-        response = model([design], [LoadPath(PRESSURE)])
-        values = np.stack([response.output(name)[0] for name in NOISE], axis=1)
-        std = np.tile(list(NOISE.values()), (len(PRESSURE), 1))
-        curves.append(
-            Curve(
-                device=f"D{i + 1}",
-                run=1,
-                orientation=0.0,
-                design=design,
-                load=PRESSURE,
-                time=None,
-                branch=np.full(len(PRESSURE), "loading"),
-                outputs=tuple(NOISE),
-                values=values + std * rng.normal(size=values.shape),
-                std=std,
-            )
-        )
-    return Measurements(tuple(curves))
+    return Measurements(curves(model, PRESSURE, NOISE, seed=4))
 
 
 @pytest.fixture(scope="module")

@@ -10,50 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.device import named_device
 from datagen.model import Model
-from datagen.response import Path as LoadPath
 from datagen.specimens import Tensile
 from discrepancy.experiment import next_measurement
 from discrepancy.measurement import Curve, Measurements, Tolerances
 from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
+from tests.discrepancy import three
 
 ROOT = Path(__file__).parents[2]
 PRESSURE = np.array([15e3, 35e3, 60e3])
 NOISE = {"tip_deflection": 2e-6, "inflation": 1.5e-6}
-DEVICES = ((1, 95e-6), (2, 80e-6), (4, 110e-6))
 LOST = 0.87
 
 TOLERANCES = Tolerances(modulus=0.02, thickness=1e-6, camera_scale=0.005)
 """Of a careful lab: usual ones could explain what is planted here."""
-
-
-def made(model: Model, seed: int) -> tuple[Curve, ...]:
-    """Readings of three devices with a model's effects, and noise."""
-    rng = np.random.default_rng(seed)
-    curves = []
-    for i, (case, thickness) in enumerate(DEVICES):
-        design = named_device("S1", case).with_values(upper_thickness=thickness)
-        response = model([design], [LoadPath(PRESSURE)])
-        values = np.stack([response.output(name)[0] for name in NOISE], axis=1)
-        std = np.tile(list(NOISE.values()), (len(PRESSURE), 1))
-        curves.append(
-            Curve(
-                device=f"D{i + 1}",
-                run=1,
-                orientation=0.0,
-                design=design,
-                load=PRESSURE,
-                time=None,
-                branch=np.full(len(PRESSURE), "loading"),
-                outputs=tuple(NOISE),
-                values=values + std * rng.normal(size=values.shape),
-                std=std,
-            )
-        )
-    return tuple(curves)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +55,7 @@ def test_pressure_loss_and_common_modulus_are_tied_until_a_strip_is_pulled(
     """Pressure enters over moduli alone: only a test without pressure splits them."""
     effects = ("bond_edge", "modulus_bias", "pressure_loss")
     model = Model(("pressure_loss",), "draft", {"pressure_loss": {"gain": LOST}})
-    curves = made(model, seed=2)
+    curves = three.curves(model, PRESSURE, NOISE, seed=2)
     study, ranking = searched(curves, cache, effects)
     assert ranking.verdict == "tied"
     assert set(ranking.effects) == {"modulus_bias", "pressure_loss"}
@@ -122,7 +94,9 @@ def test_an_effect_of_the_users_own_is_named(tmp_path: Path, cache: Path) -> Non
     planted = {"weld_seam": {"hardening": 0.6}}
     model = Model(("weld_seam",), "draft", planted, effects_dir=tmp_path)
     effects = ("weld_seam", "bond_edge", "modulus_bias", "self_weight")
-    _, ranking = searched(made(model, seed=5), cache, effects, tmp_path)
+    _, ranking = searched(
+        three.curves(model, PRESSURE, NOISE, seed=5), cache, effects, tmp_path
+    )
     best = ranking.best
     assert (ranking.verdict, ranking.effects) == ("identified", ("weld_seam",))
     low, high = best.fit.interval(0.98)[0]
