@@ -5,9 +5,8 @@ by a fit that did not see it.  Devices are what is drawn anew, not readings: rea
 one device share its thicknesses and its camera.  A rung is compared with the one before
 device by device, so that what makes a device hard for both does not blur the step.
 
-Intervals are the jackknife's with Student's quantile, of the error's logarithm.  With
-a few devices a bootstrap is far too narrow: in made-up sets of 4 and 6 devices its 90 %
-intervals held the true error in 70 and 76 %, the jackknife's in 89 and 88 %.
+Intervals are the jackknife's with Student's quantile, of the error's logarithm: with a
+few devices a bootstrap is far too narrow.  How often they hold is in docs/adopt.md.
 """
 
 from __future__ import annotations

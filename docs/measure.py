@@ -21,6 +21,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,6 @@ CASES = (1, 2, 3, 4)
 AT = (20, 60, 100)
 TWELVE = "2,4,8,12,16,20,25,30,35,40,45,50"
 COMPARE = "compare examples/measurements/bench.csv --level draft"
-ALARMS = "-m docs.alarms"
 WORKED = "-m examples.worked"
 PBA = (
     sys.executable,
@@ -165,21 +165,21 @@ def worked() -> str:
             text=True,
             check=True,
         )
-    lines = "\n".join(line.rstrip() for line in done.stdout.splitlines())
+    lines = "\n".join(line.rstrip() for line in done.stdout.rstrip().splitlines())
     return f"```text\n{lines}\n```\n\nMeasured by `python {WORKED}`.\n"
 
 
-def alarms() -> str:
-    """How often mere errors are taken for missing physics, and how often it is seen."""
+def printed(module: str) -> str:
+    """The table that a module of this folder prints."""
     done = subprocess.run(
-        [sys.executable, *ALARMS.split()],
+        [sys.executable, "-m", module],
         cwd=ROOT,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
     )
-    return f"{done.stdout}\nMeasured by `python {ALARMS}`.\n"
+    return f"{done.stdout}\nMeasured by `python -m {module}`.\n"
 
 
 BLOCKS = {
@@ -188,7 +188,9 @@ BLOCKS = {
     "cases": Block(cases),
     "compare": Block(compare),
     "worked": Block(worked, repeats=False),  # many minutes
-    "alarms": Block(alarms, repeats=False),  # some minutes; the tests do fewer sets
+    "intervals": Block(partial(printed, "docs.intervals")),
+    # Some minutes; the tests do fewer sets.
+    "alarms": Block(partial(printed, "docs.alarms"), repeats=False),
 }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from discrepancy.evidence import Fit, Prediction, fit
@@ -109,3 +111,21 @@ def devices(
     )
     nothing = Null("nothing", Prediction(base, np.zeros((len(base), 0)), columns))
     return fit(readings, nothing, evidence=False), labels
+
+
+def residuals(
+    spread: tuple[float, ...], count: int, rng: np.random.Generator
+) -> tuple[list[Array], Array]:
+    """Of models with errors `spread` on `count` devices, some hard for all models.
+
+    Devices differ by a factor of exp(0.3), one standard deviation.  The readings of one
+    device are 8; models share most of their residuals.
+    """
+    device = np.repeat(np.arange(count), 8)
+    hard = np.exp(0.3 * rng.standard_normal(count) - 0.09)[device]
+    common = rng.standard_normal(len(device))
+    own = 0.3 * rng.standard_normal((len(spread), len(device)))
+    return [
+        s * hard * (common + o) / math.hypot(1, 0.3)
+        for s, o in zip(spread, own, strict=True)
+    ], device

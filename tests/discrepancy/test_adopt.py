@@ -29,29 +29,15 @@ from tests.discrepancy.adopted import (
     measurements,
     study,
 )
-from tests.discrepancy.synthetic import devices
+from tests.discrepancy.synthetic import devices, residuals
 from tests.discrepancy.test_report import Page
 
 # -- the statistics of the ladder, without finite elements ---------------------------
 
 
-def residuals(
-    spread: tuple[float, ...], count: int, rng: np.random.Generator
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """Of models with errors `spread` on `count` devices, some hard for all models."""
-    device = np.repeat(np.arange(count), 8)
-    hard = np.exp(0.3 * rng.standard_normal(count) - 0.09)[device]
-    common = rng.standard_normal(len(device))
-    own = 0.3 * rng.standard_normal((len(spread), len(device)))
-    return [
-        s * hard * (common + o) / math.hypot(1, 0.3)
-        for s, o in zip(spread, own, strict=True)
-    ], device
-
-
 def test_the_error_is_the_root_mean_square_of_all_readings() -> None:
-    residuals = np.array([3.0, 4.0, 0.0, 0.0, 1.0])
-    found = Judged.of([residuals], np.array([0, 0, 1, 1, 1]))
+    given = np.array([3.0, 4.0, 0.0, 0.0, 1.0])
+    found = Judged.of([given], np.array([0, 0, 1, 1, 1]))
     assert found.error(0)[0] == pytest.approx(math.sqrt(26 / 5))
     assert found.counts.tolist() == [2, 3]
 
