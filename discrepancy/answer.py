@@ -72,6 +72,7 @@ def to_json(
                     name.split("+") if "+" in name else name for name in one.tied_with
                 ],
                 "log_evidence": one.fit.log_evidence,
+                "overruled": one.overruled,
             }
             for one in ranking.candidates
         ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from .evidence import Fit, fit
@@ -61,6 +63,28 @@ def noise_floor(one: Fit) -> float:
     columns = one.hypothesis.predict(one.t).columns[:, ~shared(one)]
     variance = 1 + (own**2 + (columns**2).sum(axis=1)) / one.noise**2
     return float(np.sqrt(variance.mean()))
+
+
+def explained(one: Fit, nothing: Fit) -> float:
+    """Share of what could fall of the squared error on left-out devices that does fall.
+
+    From the error with nothing missing to the noise floor, which counts the smooth
+    errors that the hypothesis leaves as errors.
+
+    Parameters
+    ----------
+    one, nothing : Fit
+        Of the hypothesis, and of "nothing is missing", to the same readings.
+
+    Returns
+    -------
+    float
+        1 at the floor, 0 or less where the hypothesis does not help; NaN where there is
+        but one device, or nothing could fall.
+    """
+    before, after = held_out(nothing) ** 2, held_out(one) ** 2
+    room = before - noise_floor(one) ** 2
+    return (before - after) / room if room > 0 else math.nan
 
 
 def shared(one: Fit) -> Array:

@@ -33,6 +33,9 @@ SMOOTH_CENTRE, SMOOTH_WIDTH = 0.01, 1.0
 95 % between 0.14 and 7 %.  Side by side, programs of the same mechanics differ by 0.2 %
 in inflation and by 1 to 10 % in tip (docs/benchmarks/fem.md)."""
 
+LARGE_SMOOTH = SMOOTH_CENTRE * math.exp(1.645 * SMOOTH_WIDTH)
+"""Amplitude that smooth errors exceed in 5 %."""
+
 NOISE_WIDTH = 1.2
 """Log-normal width of independent noise that is not stated, around its guess."""
 

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .evidence import Fit, Hypothesis, fit
-from .heldout import held_out, noise_floor
+from .heldout import explained, held_out, noise_floor
 from .hypotheses import Null, Present
+from .noise import LARGE_SMOOTH
 from .study import Study
 from .weighing import HOPELESS, nearest, probabilities, sound, weigh
 
@@ -61,6 +62,14 @@ ROUNDS, JOINT_ROUNDS, QUICK_ROUNDS = 4, 2, 10
 PARTNERS, PAIRS = 3, 4
 """Singles that are paired with all others, and pairs that are solved."""
 
+EXPLAINED = 0.5
+"""Part of the error on left-out devices that effects have to take away (`explained`)
+where they leave smooth errors above `LARGE_SMOOTH`: those are no errors, but something
+else that is missing."""
+
+JUDGED = 0.01
+"""Probability from which on a hypothesis is held to that."""
+
 SHARES = {"nothing": 0.5, "unknown": 0.05, "single": 0.35, "pair": 0.1}
 """Prior probabilities: of nothing, of an effect without a name, of all single effects
 and of all pairs together."""
@@ -77,6 +86,11 @@ class Candidate:
     heldout_error : float
         Root mean square of residuals on devices that were left out, over the noise;
         NaN where it was not computed.
+    explained : float
+        Share of the error on left-out devices that it explains (`heldout.explained`);
+        NaN where the readings did not ask for this second judge.
+    overruled : bool
+        True where that is too little: an effect without a name has its probability.
     tied_with : tuple of str
         Under the verdict ``tied``: the hypotheses that these readings do not tell
         from it.  Under others candidates are alike because none of them is needed.
@@ -86,6 +100,8 @@ class Candidate:
     probability: float
     heldout_error: float = math.nan
     tied_with: tuple[str, ...] = ()
+    explained: float = math.nan
+    overruled: bool = False
 
     @property
     def name(self) -> str:
@@ -140,6 +156,12 @@ class Ranking:
     def best(self) -> Candidate:
         return self.candidates[0]
 
+    @property
+    def nearest(self) -> Candidate | None:
+        """The named effects with the largest evidence, overruled or not."""
+        named = [one for one in self.candidates if one.effects and not one.unnamed]
+        return max(named, key=lambda one: one.fit.log_evidence, default=None)
+
     def candidate(self, name: str) -> Candidate:
         """A candidate by name."""
         return next(one for one in self.candidates if one.name == name)
@@ -183,17 +205,22 @@ class Search:
             if why:
                 self.unjudged[name] = why
         names = [name for name in among if name not in self.unjudged]
-        straight = []
-        if not study.quick:
-            bends = study.bends(study.tangents(names))
-            straight = [name for name, bend in bends.items() if bend < BENT]
-        self._solve_first([name for name in names if name not in straight])
+        bends = {} if study.quick else study.bends(study.tangents(names))
+        bent = [name for name in names if bends.get(name, math.inf) >= BENT]
+        self._solve_first({name: self._asked(name, bends) for name in bent})
         return [name for name in names if self._shown(name)]
 
-    def _solve_first(self, names: Sequence[str]) -> None:
+    def _asked(self, name: str, bends: Mapping[str, float]) -> Array | None:
+        """Where the readings ask an effect to go, by its tangent where it has one."""
+        present = self.study.present((name,)) if name in bends else None
+        if present is None:
+            return None
+        return fit(self.study.readings, present, evidence=False).t
+
+    def _solve_first(self, toward: Mapping[str, Array | None]) -> None:
         """One solve along each parameter, of a smaller effect where paths end early."""
         study = self.study
-        open_ones = [(name, t) for name in names for t in study.first(name)]
+        open_ones = [(n, t) for n, aim in toward.items() for t in study.first(n, aim)]
         for _ in range(4):
             found = study.solve([((n,), t) for n, t in open_ones], "one effect each")
             again = []
@@ -406,8 +433,9 @@ def judge(
     logs = np.array([one.log_evidence for one in whole])
     priors = np.array([log_prior(one.hypothesis, count) for one in whole])
     shares = probabilities(logs, priors)
-    order = np.argsort(-shares)
-    ranked = [Candidate(whole[i], float(shares[i])) for i in order]
+    weighed = zip(whole, map(float, shares), strict=True)
+    ranked = second_judge([Candidate(one, share) for one, share in weighed])
+    ranked.sort(key=lambda one: -one.probability)
 
     ties = tied(ranked)
     verdict, effects = _verdict(ranked, ties)
@@ -437,6 +465,35 @@ def judge(
     )
 
 
+def second_judge(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Overrule named hypotheses that leave more than they explain.
+
+    Smooth errors can swallow what a hypothesis does not explain, at a price that the
+    other hypotheses pay as well.  Where they are larger than such errors are, the
+    hypothesis has to show on devices that were left out that it explains the better
+    part.  One that does not is at best a part of what is missing: its probability goes
+    to an effect without a name.
+    """
+    nothing = next(one.fit for one in candidates if one.name == "nothing")
+    found, moved = [], 0.0
+    for one in candidates:
+        named = one.effects and not one.unnamed and one.probability > JUDGED
+        left = max(one.fit.amplitude("smooth").values(), default=0.0)
+        if named and left > LARGE_SMOOTH:
+            share = explained(one.fit, nothing)
+            one = replace(one, explained=share, overruled=share < EXPLAINED)
+        if one.overruled:
+            moved += one.probability
+            one = replace(one, probability=0.0)
+        found.append(one)
+    return [
+        replace(one, probability=one.probability + moved)
+        if one.name == "unknown"
+        else one
+        for one in found
+    ]
+
+
 def _shapes(fits: Sequence[Fit]) -> tuple[Array, ...]:
     return next(
         one.hypothesis.common
@@ -451,7 +508,9 @@ def tied(ranked: Sequence[Candidate]) -> tuple[str, ...]:
     Those within `SEPARATED` in log odds, and those that fit as well within `SAME_FIT`;
     what only adds an effect to the best one is not tied with it.
     """
-    named = [one for one in ranked if one.effects and not one.unnamed]
+    named = [
+        one for one in ranked if one.effects and not (one.unnamed or one.overruled)
+    ]
     if not named:
         return ()
     best = named[0]

@@ -425,8 +425,16 @@ class Study:
         designs = [self.measurements.curves[c].design for c, _, _ in self.cells]
         return shapes_of(self.readings, designs)
 
-    def first(self, name: str) -> list[Array]:
-        """Coordinates at which an effect is solved first: one along each parameter."""
+    def first(self, name: str, toward: Array | None = None) -> list[Array]:
+        """Coordinates at which an effect is solved first: one along each parameter.
+
+        Parameters
+        ----------
+        name : str
+        toward : (k,) array, optional
+            Where the readings ask the effect to go: to that side of off, where it has
+            room there; else to the wider one.
+        """
         priors = self.priors((name,))
         off = np.array([p.off for p in priors])
         found = []
@@ -434,6 +442,10 @@ class Study:
             lower, upper = prior.bounds
             step = FIRST_EVEN if prior.density == EVEN else FIRST_NORMAL
             up = upper - off[k] >= 0.99 * (off[k] - lower)
+            asked = 0.0 if toward is None else toward[k] - off[k]
+            room = upper - off[k] if asked > 0 else off[k] - lower
+            if abs(asked) > 1e-3 * (upper - lower) and room >= step / 2:
+                up = asked > 0
             way = min(step, upper - off[k]) if up else max(-step, lower - off[k])
             for part in QUICK_PARTS if self.quick else (1.0,):
                 t = off.copy()

@@ -263,16 +263,26 @@ def _sentences(ranking: Ranking, next_measurement: str) -> Iterator[str]:
             f"accounts for (an effect without a name: probability {percent(unnamed)}; "
             f"nothing missing: {percent(nothing)})."
         )
-        named = [c for c in ranking.candidates if c.effects and not c.unnamed]
-        if named:
-            yield (
-                f"Of those with a name, {in_words(named[0].name)} comes nearest "
-                f"(probability {percent(named[0].probability)})."
-            )
+        if ranking.nearest:
+            yield from _nearest(ranking.nearest)
     if next_measurement:
         yield f"To measure next: {next_measurement.strip().rstrip('.')}."
     elif ranking.verdict == "tied":
         yield "No measurement that would split them has been worked out."
+
+
+def _nearest(one: Candidate) -> Iterator[str]:
+    """What comes nearest where nothing with a name is the answer, and why it is not."""
+    found = f"Of those with a name, {in_words(one.name)} comes nearest"
+    if not one.overruled:
+        yield f"{found} (probability {percent(one.probability)})."
+        return
+    left = max(one.fit.amplitude("smooth").values())
+    yield (
+        f"{found}, but leaves smooth errors of {left:.0%} of a curve's maximum and "
+        f"explains {max(one.explained, 0.0):.0%} of the error on devices that were "
+        "left out."
+    )
 
 
 def _probability(ranking: Ranking, best: Candidate) -> str:

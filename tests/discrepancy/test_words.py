@@ -146,4 +146,17 @@ def test_adequate_and_unexplained() -> None:
     assert text.startswith("Unexplained: something is missing")
     # With those of the other hypotheses that an effect without a name is a part of.
     assert "an effect without a name: probability 87 %" in text
-    assert "cure_mismatch comes nearest" in text
+    assert "cure_mismatch comes nearest (probability" in text
+
+
+def test_what_was_overruled_is_told() -> None:
+    ranking = ranked()[1]
+    candidates = tuple(
+        replace(one, overruled=True, explained=0.31)
+        if one.name == "cure_mismatch"
+        else one
+        for one in ranking.candidates
+    )
+    text = verdict(replace(ranking, verdict="unexplained", candidates=candidates))
+    assert "cure_mismatch comes nearest, but leaves smooth errors of " in text
+    assert "explains 31% of the error on devices that were left out" in text
