@@ -189,7 +189,8 @@ BLOCKS = {
     "compare": Block(compare),
     "worked": Block(worked, repeats=False),  # many minutes
     "intervals": Block(partial(printed, "docs.intervals")),
-    # Some minutes; the tests do fewer sets.
+    # Some minutes each; the tests do fewer sets.
+    "known": Block(partial(printed, "docs.known"), repeats=False),
     "alarms": Block(partial(printed, "docs.alarms"), repeats=False),
 }
 

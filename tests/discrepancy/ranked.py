@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
@@ -10,11 +11,11 @@ import numpy as np
 
 from datagen.device import Design, named_device
 from datagen.model import Model
-from datagen.response import Path
-from discrepancy.measurement import Curve, Measurements
+from discrepancy.measurement import Measurements
 from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
+from tests.discrepancy.noisy import curves
 
 EFFECTS = ("cure_mismatch", "pressure_offset")
 QUANTITIES = ("tip_deflection", "inflation")
@@ -40,33 +41,18 @@ def _design(name: str) -> Design:
 @cache
 def measurements() -> Measurements:
     """Draft solves with the mismatch in them, and noise."""
-    rng = np.random.default_rng(5)
-    model = Model(
-        ("cure_mismatch",), "draft", {"cure_mismatch": {"difference": PLANTED}}
+    hidden = {"cure_mismatch": {"difference": PLANTED}}
+    first, second = curves(
+        Model(tuple(hidden), "draft", hidden),
+        PRESSURE,
+        dict(zip(QUANTITIES, NOISE, strict=True)),
+        5,
+        {name: _design(name) for name in DEVICES},
     )
-    curves = []
-    for name in DEVICES:
-        design = _design(name)
-        answer = model([design], [Path(PRESSURE)])
-        values = np.stack([answer.output(q)[0] for q in QUANTITIES], axis=1)
-        values = values + np.array(NOISE) * rng.standard_normal(values.shape)
-        if name == DEVICES[1]:
-            values[1, 0] = np.nan  # a reading that was not taken
-        curves.append(
-            Curve(
-                device=name,
-                run=1,
-                orientation=0.0,
-                design=design,
-                load=PRESSURE,
-                time=None,
-                branch=np.array(["loading"] * len(PRESSURE)),
-                outputs=QUANTITIES,
-                values=values,
-                std=np.tile(NOISE, (len(PRESSURE), 1)),
-            )
-        )
-    return Measurements(tuple(curves), SOURCE, "ab" * 32, (WARNING,))
+    values = second.values.copy()
+    values[1, 0] = np.nan  # a reading that was not taken
+    second = replace(second, values=values)
+    return Measurements((first, second), SOURCE, "ab" * 32, (WARNING,))
 
 
 @cache

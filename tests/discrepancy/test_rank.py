@@ -19,7 +19,7 @@ from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from discrepancy.words import verdict
-from tests.discrepancy.three import curves
+from tests.discrepancy.noisy import curves
 
 PRESSURE = np.array([10e3, 25e3, 45e3])
 NOISE = {"tip_deflection": 3e-6, "inflation": 2e-6}

@@ -17,7 +17,7 @@ from discrepancy.measurement import Curve, Measurements, Tolerances
 from discrepancy.rank import Ranking, Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
-from tests.discrepancy import three
+from tests.discrepancy import noisy
 
 ROOT = Path(__file__).parents[2]
 PRESSURE = np.array([15e3, 35e3, 60e3])
@@ -55,7 +55,7 @@ def test_pressure_loss_and_common_modulus_are_tied_until_a_strip_is_pulled(
     """Pressure enters over moduli alone: only a test without pressure splits them."""
     effects = ("bond_edge", "modulus_bias", "pressure_loss")
     model = Model(("pressure_loss",), "draft", {"pressure_loss": {"gain": LOST}})
-    curves = three.curves(model, PRESSURE, NOISE, seed=2)
+    curves = noisy.curves(model, PRESSURE, NOISE, seed=2)
     study, ranking = searched(curves, cache, effects)
     assert ranking.verdict == "tied"
     assert set(ranking.effects) == {"modulus_bias", "pressure_loss"}
@@ -95,7 +95,7 @@ def test_an_effect_of_the_users_own_is_named(tmp_path: Path, cache: Path) -> Non
     model = Model(("weld_seam",), "draft", planted, effects_dir=tmp_path)
     effects = ("weld_seam", "bond_edge", "modulus_bias", "self_weight")
     _, ranking = searched(
-        three.curves(model, PRESSURE, NOISE, seed=5), cache, effects, tmp_path
+        noisy.curves(model, PRESSURE, NOISE, seed=5), cache, effects, tmp_path
     )
     best = ranking.best
     assert (ranking.verdict, ranking.effects) == ("identified", ("weld_seam",))

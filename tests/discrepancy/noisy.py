@@ -1,4 +1,4 @@
-"""Three small devices of two batches, read off the model with nothing but noise."""
+"""Small devices read off the model with nothing but noise."""
 
 from __future__ import annotations
 
@@ -6,17 +6,30 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from datagen.device import named_device
+from datagen.device import Design, named_device
 from datagen.model import Model
-from datagen.response import Path as LoadPath
+from datagen.response import Path
 from discrepancy.measurement import Curve
 
-DEVICES = ((1, 95e-6), (2, 80e-6), (4, 110e-6))
-"""Material case of S1 and thickness of the upper layer, m."""
+
+def variants(thickness: Mapping[int, float]) -> dict[str, Design]:
+    """S1 of some material cases, each with an upper layer of its own, m."""
+    made = thickness.items()
+    return {
+        f"D{i}": named_device("S1", case).with_values(upper_thickness=upper)
+        for i, (case, upper) in enumerate(made, start=1)
+    }
+
+
+THREE = variants({1: 95e-6, 2: 80e-6, 4: 110e-6})
 
 
 def curves(
-    model: Model, pressure: np.ndarray, noise: Mapping[str, float], seed: int
+    model: Model,
+    pressure: np.ndarray,
+    noise: Mapping[str, float],
+    seed: int,
+    devices: Mapping[str, Design] = THREE,
 ) -> tuple[Curve, ...]:
     """One curve of each device.
 
@@ -28,17 +41,18 @@ def curves(
     noise : dict of str to float, SI
         Standard deviation of the noise of each quantity that is read.
     seed : int
+    devices : dict of str to Design
+        By name.
     """
     rng = np.random.default_rng(seed)
+    std = np.tile(list(noise.values()), (len(pressure), 1))
     found = []
-    for i, (case, thickness) in enumerate(DEVICES):
-        design = named_device("S1", case).with_values(upper_thickness=thickness)
-        response = model([design], [LoadPath(pressure)])
-        values = np.stack([response.output(name)[0] for name in noise], axis=1)
-        std = np.tile(list(noise.values()), (len(pressure), 1))
+    for name, design in devices.items():
+        response = model([design], [Path(pressure)])
+        values = np.stack([response.output(one)[0] for one in noise], axis=1)
         found.append(
             Curve(
-                device=f"D{i + 1}",
+                device=name,
                 run=1,
                 orientation=0.0,
                 design=design,
