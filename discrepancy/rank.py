@@ -1,10 +1,10 @@
 """Which effect is missing: fit every candidate, weigh them, and say what can be said.
 
 The order of work: derivatives by all effects where they are off, from a solve or two of
-each curve; a solve along each parameter of effects that have none or turn away from
-theirs; fits with the interpolated curves; solves at the best fits of contenders until
-their curves are known there; pairs of the best with every other; probabilities; ties,
-held-out devices and the verdict.
+each curve; a solve of finite size of effects that have none or turn away from theirs,
+on the side that the readings ask for; fits with the interpolated curves; solves at the
+best fits of contenders until their curves are known there; pairs of the best with every
+other; probabilities; ties, held-out devices and the verdict.
 """
 
 from __future__ import annotations
@@ -44,6 +44,9 @@ STRAIGHT = 1.0
 BENT = 0.25
 """Departure of an effect from its tangent (`Study.bends`) at which the tangent says
 little of what larger sizes do to other devices."""
+
+ROUGH = 0.7
+"""Departure above which a tangent says nothing."""
 
 SHARE = 0.5
 """Part of the misfit that the best tangent takes away which another has to take away
@@ -205,20 +208,45 @@ class Search:
             if why:
                 self.unjudged[name] = why
         names = [name for name in among if name not in self.unjudged]
-        bends = {} if study.quick else study.bends(study.tangents(names))
-        bent = [name for name in names if bends.get(name, math.inf) >= BENT]
-        self._solve_first({name: self._asked(name, bends) for name in bent})
+        ready = [] if study.quick else study.tangents(names)
+        tangents = {name: self._tangent(study.present((name,))) for name in ready}
+        bends = study.bends({name: one.t for name, one in tangents.items()})
+        open_ones = self._open(tangents, bends)
+        self._solve_first(
+            {
+                name: tangents[name].t if name in tangents else None
+                for name in names
+                if name not in tangents or name in open_ones
+            }
+        )
         return [name for name in names if self._shown(name)]
 
-    def _asked(self, name: str, bends: Mapping[str, float]) -> Array | None:
-        """Where the readings ask an effect to go, by its tangent where it has one."""
-        present = self.study.present((name,)) if name in bends else None
-        if present is None:
-            return None
-        return fit(self.study.readings, present, evidence=False).t
+    def _tangent(self, hypothesis: Hypothesis | None) -> Fit:
+        """A fit by tangents alone: where the readings ask an effect to go."""
+        assert hypothesis is not None
+        return fit(self.study.readings, hypothesis, evidence=False)
+
+    def _open(
+        self, tangents: Mapping[str, Fit], bends: Mapping[str, float]
+    ) -> list[str]:
+        """Effects whose tangent does not say what larger sizes take from the misfit."""
+        study = self.study
+        nothing, unknown = (self._tangent(h) for h in (study.null(), study.unknown()))
+        gains = {
+            name: max(nothing.misfit - one.misfit, 0.0)
+            for name, one in tangents.items()
+        }
+        most = max(nothing.misfit - unknown.misfit, *gains.values(), 0.0)
+        least = max(GAIN, SHARE * most)
+        return [
+            name
+            for name, bend in bends.items()
+            if bend > ROUGH
+            or (bend >= BENT and could_take(gains[name], bend, most) >= least)
+        ]
 
     def _solve_first(self, toward: Mapping[str, Array | None]) -> None:
-        """One solve along each parameter, of a smaller effect where paths end early."""
+        """First solves, of smaller effects where paths end early."""
         study = self.study
         open_ones = [(n, t) for n, aim in toward.items() for t in study.first(n, aim)]
         for _ in range(4):
@@ -385,6 +413,28 @@ class Search:
     def _joined(present: Present, known: dict[str, Fit]) -> Array:
         """Coordinates of the single fits together."""
         return np.concatenate([known[name].t for name in present.effects])
+
+
+def could_take(gain: float, bend: float, most: float) -> float:
+    """Most that an effect of finite size could take from the misfit.
+
+    A signature that turns by the angle asin(bend) takes what lies in its tangent and,
+    with the turn, of what others take.  Twice the most that any tangent takes stands
+    for all that could be taken: bent up to `ROUGH`, an effect of its first size has
+    half of its own gain in its tangent.
+
+    Parameters
+    ----------
+    gain : float
+        That its tangent takes.
+    bend : float
+        Its turn, see `Study.bends`; at most 1.
+    most : float
+        That any tangent takes.
+    """
+    straight = math.sqrt(gain * (1 - bend**2))
+    turned = bend * math.sqrt(max(2 * most - gain, 0.0))
+    return (straight + turned) ** 2
 
 
 def _effects(one: Fit) -> tuple[str, ...]:

@@ -38,8 +38,8 @@ GUESS = 0.005
 """Noise where none is stated and nothing was repeated, share of a curve's maximum."""
 
 FIRST_NORMAL, FIRST_EVEN = 1.0, 0.4
-"""Coordinate of an effect's first solve: a prior standard deviation, a part of the
-range."""
+"""Distance of an effect's first solve from off: a prior standard deviation, a part of
+the range."""
 
 QUICK_PARTS = (2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 """More first solves, in parts of that one, where a solve costs nothing."""
@@ -344,15 +344,16 @@ class Study:
             if np.isfinite(self._nodes[(name,), off[name]].slopes).all()
         ]
 
-    def bends(self, names: Sequence[str]) -> dict[str, float]:
+    def bends(self, toward: Mapping[str, Array]) -> dict[str, float]:
         """How far effects of finite size turn away from their tangents.
 
-        Each is solved at one size, on the one curve that its tangent moves most.
+        Each is solved at its first size, on the one curve that its tangent moves most.
 
         Parameters
         ----------
-        names : sequence of str
-            Effects with derivatives where they are off (`tangents`).
+        toward : mapping of str to (k,) array
+            Effects with derivatives where they are off (`tangents`), and where the
+            readings ask them to go.
 
         Returns
         -------
@@ -360,33 +361,46 @@ class Study:
             Difference of the change and that of the tangent over the larger of them,
             0 to 2; 2 where the path does not get there.
         """
-        tasks: dict[str, Solve] = {}
-        places: dict[str, tuple[int, list[int], Array]] = {}
-        for name in names:
+        spots: dict[str, tuple[int, Array]] = {}
+        tangents: dict[str, Array] = {}
+        for name, aim in toward.items():
             off = np.array([p.off for p in self.priors((name,))])
-            firsts = self.first(name)
-            way = np.sum([t - off for t in firsts], axis=0) / math.sqrt(len(firsts))
+            t = self.first(name, aim)[0]
             slopes = self._nodes[(name,), tuple(off)].slopes
-            tangent = slopes @ way / self.readings.noise
+            tangent = slopes @ (t - off) / self.readings.noise
             curve = self.cells[int(np.argmax(np.abs(tangent)))][0]
-            at = [i for i, cell in enumerate(self.cells) if cell[0] == curve]
-            places[name] = curve, at, tangent[at]
-            tasks[name] = self.paths.task(curve, self.fast, (name,), off + way, by=())
-        answers = self.solver.all(tasks.values(), "how straight effects are")
-        base = self._nodes[(), ()].values
+            spots[name] = curve, t
+            tangents[name] = tangent[self._of(curve)]
         found = {}
-        for name, (curve, at, tangent) in places.items():
-            solved = {curve: answers[tasks[name]]}
-            cells = [self.cells[i] for i in at]
-            values, _ = self.paths.gather(cells, (name,), solved)
-            change = (values - base[at]) / self.readings.noise[at]
+        for name, values in self._on_curves(spots).items():
+            at = self._of(spots[name][0])
+            change = (values - self._nodes[(), ()].values[at]) / self.readings.noise[at]
             apart, one, other = (
-                float(np.linalg.norm(v)) for v in (change - tangent, change, tangent)
+                float(np.linalg.norm(v))
+                for v in (change - tangents[name], change, tangents[name])
             )
             size = max(one, other)
             found[name] = apart / size if size > 0 else 0.0
             if not math.isfinite(size):
                 found[name] = 2.0
+        return found
+
+    def _of(self, curve: int) -> list[int]:
+        """Numbers of the readings of a curve."""
+        return [i for i, cell in enumerate(self.cells) if cell[0] == curve]
+
+    def _on_curves(self, spots: Mapping[str, tuple[int, Array]]) -> dict[str, Array]:
+        """Readings of one curve with one effect on, for each effect."""
+        tasks = {
+            name: self.paths.task(curve, self.fast, (name,), t)
+            for name, (curve, t) in spots.items()
+        }
+        answers = self.solver.all(tasks.values(), "how straight effects are")
+        found = {}
+        for name, (curve, _) in spots.items():
+            cells = [self.cells[i] for i in self._of(curve)]
+            solved = {curve: answers[tasks[name]]}
+            found[name] = self.paths.gather(cells, (name,), solved)[0]
         return found
 
     def on_mesh(
@@ -426,7 +440,10 @@ class Study:
         return shapes_of(self.readings, designs)
 
     def first(self, name: str, toward: Array | None = None) -> list[Array]:
-        """Coordinates at which an effect is solved first: one along each parameter.
+        """Coordinates at which an effect is solved first.
+
+        All parameters at once, as its derivatives there tell them apart; one after the
+        other and at more sizes where a solve is a formula.
 
         Parameters
         ----------
@@ -437,7 +454,7 @@ class Study:
         """
         priors = self.priors((name,))
         off = np.array([p.off for p in priors])
-        found = []
+        way = np.zeros(len(off))
         for k, prior in enumerate(priors):
             lower, upper = prior.bounds
             step = FIRST_EVEN if prior.density == EVEN else FIRST_NORMAL
@@ -446,12 +463,11 @@ class Study:
             room = upper - off[k] if asked > 0 else off[k] - lower
             if abs(asked) > 1e-3 * (upper - lower) and room >= step / 2:
                 up = asked > 0
-            way = min(step, upper - off[k]) if up else max(-step, lower - off[k])
-            for part in QUICK_PARTS if self.quick else (1.0,):
-                t = off.copy()
-                t[k] = off[k] + part * way
-                found.append(t)
-        return found
+            way[k] = min(step, upper - off[k]) if up else max(-step, lower - off[k])
+        if self.quick:
+            axes = np.diag(way)
+            return [off + part * axis for axis in axes for part in QUICK_PARTS]
+        return [off + way / math.sqrt(len(way))]
 
     def _reach_of(self, names: tuple[str, ...], off: Array) -> Array:
         """(k, 2) coordinates between which paths got to the end, as far as is known.

@@ -15,7 +15,7 @@ from discrepancy.answer import to_json
 from discrepancy.evidence import fit
 from discrepancy.experiment import next_measurement
 from discrepancy.measurement import Measurements
-from discrepancy.rank import Ranking, Search
+from discrepancy.rank import Ranking, Search, could_take
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from discrepancy.words import verdict
@@ -188,3 +188,12 @@ def test_smooth_errors_take_the_certainty(study: Study) -> None:
         return both[0] - both[1]
 
     assert odds(alone) > odds(study.readings) > 3
+
+
+def test_what_a_bent_effect_could_take() -> None:
+    """Its tangent's share where it is straight, all of the rest where it is not."""
+    assert could_take(10.0, 0.0, 50.0) == pytest.approx(10.0)
+    assert could_take(0.0, 0.5, 50.0) == pytest.approx(25.0)
+    assert could_take(0.0, 1.0, 50.0) == pytest.approx(100.0)
+    assert could_take(50.0, 0.6, 50.0) == pytest.approx(98.0)
+    assert could_take(0.0, 0.7, 0.0) == 0.0

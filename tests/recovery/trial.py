@@ -189,7 +189,7 @@ class Lab:
         """Solve every effect at sizes over its range, as far as paths go."""
         study = self.study
         names = [n for n in study.effects if not study.blind(n)]
-        study.bends(study.tangents(names))
+        study.tangents(names)
         wanted = [((n,), t) for n in names for t in self.sizes(n)]
         study.solve(wanted, "recovery")
 
@@ -197,11 +197,11 @@ class Lab:
         """Coordinates along each parameter, both ways, and corners of them."""
         priors = self.study.priors((name,))
         off = np.array([p.off for p in priors])
-        first = self.study.first(name)
+        way = (self.study.first(name)[0] - off) * np.sqrt(len(off))
+        first = [off + axis for axis in np.diag(way)]
         found = list(first)
-        for k, (prior, t) in enumerate(zip(priors, first, strict=True)):
+        for k, (prior, step) in enumerate(zip(priors, way, strict=True)):
             lower, upper = prior.bounds
-            step = t[k] - off[k]
             for factor in (2.0, -1.0, -2.0):
                 x = off.copy()
                 x[k] = off[k] + factor * step
