@@ -22,9 +22,10 @@ from datagen.errors import EffectError, InputError
 from .answer import parameters_of
 from .evidence import Fit, fit
 from .heldout import floor_interval, left_out, noise_floor
+from .judging import Candidate
 from .ladder import BASELINE, RECALIBRATED, Rung, ladder
 from .measurement import Measurements
-from .rank import Candidate, Search
+from .rank import Search
 from .study import Study
 from .words import BEYOND
 

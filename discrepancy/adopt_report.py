@@ -8,6 +8,7 @@ from html import escape
 from .adopt import Adoption, emulation_error
 from .adopt_figures import before_after, ladder_figure
 from .figures import Figure
+from .judging import Candidate
 from .ladder import Rung
 from .page import (
     count,
@@ -19,7 +20,6 @@ from .page import (
     paragraph,
     table,
 )
-from .rank import Candidate
 from .sharpen import Sharpening
 from .version import ModelVersion
 from .words import INSIDE, in_words, sizes

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .experiment import Proposal
-from .rank import Candidate, Ranking
+from .judging import Candidate, Ranking
 from .words import sizes, verdict
 
 

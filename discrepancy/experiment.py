@@ -21,8 +21,8 @@ from datagen.specimens import Bulge, Tensile
 
 from .evidence import Fit
 from .hypotheses import Present
+from .judging import Ranking
 from .measurement import LOADING, UNLOADING, Curve, Measurements
-from .rank import Ranking
 from .study import Study
 from .weighing import nearest
 

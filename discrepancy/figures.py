@@ -34,8 +34,8 @@ from .charts import (
     suffix,
 )
 from .evidence import Fit
+from .judging import Candidate, Ranking
 from .measurement import UNLOADING
-from .rank import Candidate, Ranking
 from .study import Study
 from .words import in_words, load_axis, log_odds, percent, quantity_axis, sizes
 

@@ -13,6 +13,7 @@ from datagen.model import GENERATOR_VERSION
 
 from . import figures
 from .figures import Figure
+from .judging import Candidate, Ranking
 from .page import (
     count,
     document,
@@ -25,7 +26,7 @@ from .page import (
     table,
 )
 from .provenance import package
-from .rank import PAIRS, PARTNERS, Candidate, Ranking
+from .rank import PAIRS, PARTNERS
 from .study import Study
 from .words import INSIDE, in_words, log_odds, percent, sizes, verdict
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datagen.units import PRESSURE
 
 from .columns import NUMBERS
-from .rank import SEPARATED, Candidate, Ranking
+from .judging import SEPARATED, Candidate, Ranking
 from .study import Study
 
 BENCH = {
@@ -277,11 +277,11 @@ def _nearest(one: Candidate) -> Iterator[str]:
     if not one.overruled:
         yield f"{found} (probability {percent(one.probability)})."
         return
-    left = max(one.fit.amplitude("smooth").values())
+    left = 100 * max(one.fit.amplitude("smooth").values())
+    share = 100 * max(one.explained, 0.0)
     yield (
-        f"{found}, but leaves smooth errors of {left:.0%} of a curve's maximum and "
-        f"explains {max(one.explained, 0.0):.0%} of the error on devices that were "
-        "left out."
+        f"{found}, but leaves smooth errors of {left:.0f} % of a curve's maximum and "
+        f"explains {share:.0f} % of what could fall of the error on left-out devices."
     )
 
 

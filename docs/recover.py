@@ -22,8 +22,8 @@ import numpy as np
 from datagen.effects import catalogue
 from discrepancy.answer import parameters_of
 from discrepancy.heldout import held_out, noise_floor
+from discrepancy.judging import Candidate, Ranking
 from discrepancy.noise import Readings
-from discrepancy.rank import Candidate, Ranking
 from discrepancy.solves import Progress, Solver
 from tests.recovery.trial import (
     KINDS,

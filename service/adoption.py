@@ -13,9 +13,9 @@ from rich.table import Table
 from datagen.specimens import Tensile
 from discrepancy.adopt import Adoption, emulation_error
 from discrepancy.columns import NUMBERS
+from discrepancy.judging import Candidate
 from discrepancy.ladder import Rung
 from discrepancy.layout import BASELINE
-from discrepancy.rank import Candidate
 from discrepancy.version import Estimate, ModelVersion, rung_json
 from discrepancy.words import BENCH, decimals, sizes
 

@@ -27,7 +27,7 @@ from .options import AsJson, EffectsDir, Level
 from .terminal import print_json, print_rich
 
 if TYPE_CHECKING:
-    from discrepancy.rank import Ranking
+    from discrepancy.judging import Ranking
 
     from .ranked import Ranked
 

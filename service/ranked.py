@@ -11,8 +11,9 @@ from typing import Any
 from discrepancy.answer import to_json
 from discrepancy.compare import Comparison, compare
 from discrepancy.experiment import Proposal, next_measurement
+from discrepancy.judging import Ranking
 from discrepancy.measurement import Measurements
-from discrepancy.rank import Ranking, Search
+from discrepancy.rank import Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from datagen.device import Design, named_device
 from datagen.model import Model
+from discrepancy.judging import Ranking
 from discrepancy.measurement import Measurements
-from discrepancy.rank import Ranking, Search
+from discrepancy.rank import Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from tests.discrepancy.noisy import curves

@@ -13,8 +13,8 @@ import pytest
 from discrepancy import figures
 from discrepancy.bands import MARGIN, calibrated_band
 from discrepancy.evidence import Fit
+from discrepancy.judging import Ranking
 from discrepancy.noise import Frame
-from discrepancy.rank import Ranking
 from discrepancy.study import Study
 from tests.discrepancy.ranked import DEVICES, NOISE, PRESSURE, ranked
 

@@ -14,8 +14,9 @@ from datagen.model import Model
 from discrepancy.answer import to_json
 from discrepancy.evidence import fit
 from discrepancy.experiment import next_measurement
+from discrepancy.judging import Ranking
 from discrepancy.measurement import Measurements
-from discrepancy.rank import Ranking, Search, could_take
+from discrepancy.rank import Search, could_take
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from discrepancy.words import verdict

@@ -13,8 +13,9 @@ import pytest
 from datagen.model import Model
 from datagen.specimens import Tensile
 from discrepancy.experiment import next_measurement
+from discrepancy.judging import Ranking
 from discrepancy.measurement import Curve, Measurements, Tolerances
-from discrepancy.rank import Ranking, Search
+from discrepancy.rank import Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from tests.discrepancy import noisy

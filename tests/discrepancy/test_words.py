@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from discrepancy.rank import Candidate
+from discrepancy.judging import Candidate
 from discrepancy.words import (
     BEYOND,
     INSIDE,
@@ -159,4 +159,4 @@ def test_what_was_overruled_is_told() -> None:
     )
     text = verdict(replace(ranking, verdict="unexplained", candidates=candidates))
     assert "cure_mismatch comes nearest, but leaves smooth errors of " in text
-    assert "explains 31% of the error on devices that were left out" in text
+    assert "explains 31 % of what could fall of the error on left-out devices" in text

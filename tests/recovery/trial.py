@@ -19,9 +19,10 @@ import numpy as np
 from datagen.device import Design
 from datagen.effects import catalogue
 from discrepancy.hypotheses import Present
+from discrepancy.judging import Ranking
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.noise import Readings
-from discrepancy.rank import Ranking, Search
+from discrepancy.rank import Search
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 
