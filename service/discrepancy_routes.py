@@ -24,6 +24,9 @@ from .tasks import fem_version
 
 router = APIRouter(responses=errors(422, 500))
 
+NAMELESS = "measurements.csv"
+"""Name of a file that comes without one."""
+
 ACCEPTED: dict[int | str, dict[str, Any]] = {
     202: {"model": JobOut, "description": "Long work: a job"}
 }
@@ -42,7 +45,16 @@ def files_of(service: Service) -> MeasurementFiles:
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": {"text/csv": {"schema": {"type": "string"}}},
+            "content": {
+                "text/csv": {"schema": {"type": "string"}},
+                "multipart/form-data": {
+                    "schema": {
+                        "type": "object",
+                        "properties": {"file": {"type": "string", "format": "binary"}},
+                        "required": ["file"],
+                    }
+                },
+            },
         }
     },
 )
@@ -50,11 +62,13 @@ async def send_measurements(
     request: Request,
     service: Shared,
     name: Annotated[
-        str, Query(description="of the file", max_length=100)
-    ] = "measurements.csv",
+        str | None,
+        Query(description="of the file; its own in a form", max_length=100),
+    ] = None,
 ) -> Response:
-    """Keep a measurement file, its bytes the body; docs/measurement-format.md."""
-    content = await request.body()
+    """Keep a measurement file, the body or sent in a form; measurement-format.md."""
+    own, content = await _sent(request)
+    name = name or own
     if not content:
         raise InputError("body", "empty", "the bytes of a CSV file")
     files = files_of(service)
@@ -62,6 +76,23 @@ async def send_measurements(
     found = await run_in_threadpool(files.describe, identity)
     where = {"Location": f"/v1/measurements/{identity}"}
     return JSONResponse(found, 201, headers=where)
+
+
+async def _sent(request: Request) -> tuple[str, bytes]:
+    """Name and bytes of the file in a request: its body, or in a form.
+
+    Raises
+    ------
+    InputError
+        When a form has not exactly one file.
+    """
+    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
+        return NAMELESS, await request.body()
+    async with request.form() as form:
+        files = [one for _, one in form.multi_items() if not isinstance(one, str)]
+        if len(files) != 1:
+            raise InputError("form", f"{len(files)} files", "one file")
+        return files[0].filename or NAMELESS, await files[0].read()
 
 
 @router.get("/v1/measurements")

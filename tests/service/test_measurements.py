@@ -68,6 +68,26 @@ def test_what_is_kept_is_described(
     assert again.json()["id"] == identity
 
 
+def test_a_file_may_come_in_a_form(client: TestClient, csv: bytes) -> None:
+    sent = csv + b"\r\n"
+    plain = client.post("/v1/measurements", content=sent).json()
+    answer = client.post("/v1/measurements", files={"file": ("lab.csv", sent)})
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["id"] == plain["id"]
+    other = client.post("/v1/measurements", files={"data": ("lab 2.csv", csv + b"\n")})
+    assert other.json()["name"] == "lab 2.csv"
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_a_form_has_one_file(client: TestClient, csv: bytes, count: int) -> None:
+    files = [("file", (f"{i}.csv", csv)) for i in range(count)]
+    files += [("note", (None, b"no file"))]
+    answer = client.post("/v1/measurements", files=files)
+    assert answer.status_code == 422
+    message = answer.json()["error"]["message"]
+    assert f"'{count} files' is not allowed; allowed: one file" in message
+
+
 def test_what_is_not_allowed_is_told_by_line_and_not_kept(
     client: TestClient, csv: bytes
 ) -> None:
