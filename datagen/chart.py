@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ class Point:
     volume : m3.  direction : (n, 3) array, dx/ds of the path's length s.
     normal : (n, 3) array; ds/dx.  slope : Pa/m, dp/ds.
     stress : (27 e, 6) array, Pa; second Piola-Kirchhoff, at the quadrature points.
+    stress_rate : (27 e, 6) array, Pa/m; its derivative by s.
     negative : int; negative eigenvalues of the tangent, 0 where stable.
     jacobian : (m, k) array, SI, or None; outputs by parameters, see `Sensitivity`.
     """
@@ -29,6 +31,7 @@ class Point:
     normal: Array
     slope: float
     stress: Array
+    stress_rate: Array
     negative: int = 0
     jacobian: Array | None = None
 
@@ -66,22 +69,44 @@ class Chart:
         """Nodes and pressure expected at a coordinate."""
         b, a = self.here, self.before
         if a is None:
-            return b.x + s * b.direction, b.pressure + s * b.slope
+            return b.x + s * b.direction, self.at_pressure(s)
+        x = self._cubic(s, (a.x, a.direction), (b.x, b.direction))
+        return x, self.at_pressure(s)
+
+    def at_pressure(self, s: float) -> float:
+        """Pressure expected at a coordinate, Pa."""
+        b, a = self.here, self.before
+        if a is None:
+            return b.pressure + s * b.slope
+        return float(self._cubic(s, (a.pressure, a.slope), (b.pressure, b.slope)))
+
+    def stress(self, s: float) -> Array:
+        """Stress (27 e, 6), Pa, expected at a coordinate."""
+        b, a = self.here, self.before
+        if a is None:
+            return b.stress + s * b.stress_rate
+        stress: Array = self._cubic(
+            s, (a.stress, a.stress_rate), (b.stress, b.stress_rate)
+        )
+        return stress
+
+    def _cubic(self, s: float, before: Any, here: Any) -> Any:
+        """Hermite's cubic through (value, slope) at the two points.
+
+        From `here`, as the weights of the values sum to one: held displacements then
+        stay held to the last bit.  Extrapolation would multiply their rounding errors
+        in every step, and nothing corrects them.
+        """
         width = -self.start
         t = 1 + s / width
         h00 = (1 + 2 * t) * (1 - t) ** 2
         h10, h11 = width * t * (1 - t) ** 2 / self.rate, width * t * t * (t - 1)
-        # From b, as h00 + h01 = 1: held displacements then stay held to the last bit.
-        # Extrapolation would multiply their rounding errors in every step, and nothing
-        # corrects them.
-        x = b.x + h00 * (a.x - b.x) + h10 * a.direction + h11 * b.direction
-        p = b.pressure + h00 * (a.pressure - b.pressure) + h10 * a.slope + h11 * b.slope
-        return x, p
+        return here[0] + h00 * (before[0] - here[0]) + h10 * before[1] + h11 * here[1]
 
     def reach(self, pressure: float, furthest: float) -> float | None:
         """Coordinate up to `furthest` where `pressure` is expected, or None."""
         share = np.linspace(0.0, 1.0, 41)
-        ahead = np.array([self.at(furthest * t)[1] for t in share])
+        ahead = np.array([self.at_pressure(furthest * t) for t in share])
         side = np.sign(pressure - self.here.pressure)
         beyond = np.nonzero(side * (ahead - pressure) >= 0)[0]
         if len(beyond) == 0 or beyond[0] == 0:
@@ -102,20 +127,6 @@ class Chart:
         return self.start * (1 - (inside[0] if inside else m0 / (m0 - m1)))
 
 
-def expected_stress(chart: Chart, points: Sequence[Point], s: float) -> Array:
-    """Stress at a coordinate, by Lagrange's polynomial through the last points.
-
-    Parameters
-    ----------
-    chart : Chart
-    points : sequence of Point
-        At coordinates that differ.
-    s : float, m
-    """
-    known = [(chart.measure(point.x), point.stress) for point in points]
-    return extrapolate(known, s)
-
-
 def extrapolate(known: Sequence[tuple[float, Array]], where: float) -> Array:
     """Lagrange's polynomial through (coordinate, value) pairs, from the last one."""
     last = known[-1][1]
@@ -125,3 +136,8 @@ def extrapolate(known: Sequence[tuple[float, Array]], where: float) -> Array:
         weight = np.prod([(where - other) / (here - other) for other in others])
         guess += weight * (value - last)  # what does not move stays, see Chart.at
     return guess
+
+
+def largest(field: Array) -> float:
+    """Largest component of a nodal field."""
+    return float(np.abs(field).max())

@@ -1,17 +1,11 @@
 """Path following: equilibria of one problem under growing, falling or turning pressure.
 
-The arc length of the displacements is the continuation parameter, so that the path may
-turn in pressure, in cavity volume or in both.  Wanted pressures are hit exactly, by a
-corrector at fixed pressure; all other steps are corrected in the plane across the path
-by a bordered system (Riks 1979).
+The path's own length is the continuation parameter, so that the path may turn in
+pressure, in cavity volume or in both.  Wanted pressures are hit exactly, by a corrector
+at fixed pressure; all other steps are corrected in the plane across the path.
 
-Predictor: cubic Hermite extrapolation of the last two points and their tangents; the
-stress is extrapolated by itself.  A membrane's stress at extrapolated positions is far
-off, as it magnifies their error by its stiffness; with that of the last points in the
-tangent's geometric part the factorisation at the prediction serves the whole step
-(the idea is that of the mixed integration point Newton of Magisano, Leonetti and
-Garcea 2017).
-Corrector: Newton's method that keeps its factorisation while the contraction is good.
+Predictor: cubic Hermite extrapolation of the last two points and their tangents, and of
+the stress by itself.
 
 Time runs with the pressure, evenly between two targets; where the pressure is held it
 passes in one step.  What a body has at rest it has had for long.
@@ -24,12 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from .chart import Chart, Point, expected_stress, extrapolate
-from .control import Counters, Options, Outcome, StepFailed, legs
-from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
-from .linear import NotDefinite
-from .loading import loading_direction
-from .mixing import Mixing
+from .chart import Chart, Point, extrapolate, largest
+from .control import Counters, Options, Outcome, StepFailed
+from .corrector import Corrector
+from .equilibrium import Equilibrium, InvertedElement, Workspace
+from .journey import Journey
 from .problem import Body, Problem
 from .response import OUTPUT_NAMES
 from .sensitivity import Direction, Sensitivity
@@ -70,7 +63,7 @@ class PathFollower:
             self._sensitivity = Sensitivity(problem, directions, self.workspace)
         laws = [law for one in directions for law in one.problem.laws]
         fades = any(getattr(law, "fades", False) for law in (*problem.laws, *laws))
-        self._parts = self.options.fading_parts if fades else 1
+        self.parts = self.options.fading_parts if fades else 1
         self._remembers = any(law.history_size for law in problem.laws) or (
             self._sensitivity is not None and self._sensitivity.has_history
         )
@@ -79,65 +72,23 @@ class PathFollower:
         )
         self.counters = Counters()
         self.limit: Point | None = None
-        self._clock = self._due = 0.0  # time at the last point and at the target, s
+        self.turned = False
+        self._clock = self.due = 0.0  # time at the last point and at the target, s
         self._thin = problem.thin
-        self._tolerance = self.options.tolerance * self._thin
-        self._definite = True
         self._before: Point | None = None
         self._keep_all, self._past_limits = False, False
-        self._predicted_negative = 0
         self._length = 0.0  # of the path so far
         self._heading = 1.0
         self.first_volume = self.equations.volume(problem.nodes)
-        faces = problem.mesh.cavity_faces[:, [0, 2, 8, 6]]
-        one, two = (
-            problem.nodes[faces[:, i]] - problem.nodes[faces[:, j]]
-            for i, j in ((2, 0), (3, 1))
+        self.corrector = Corrector(
+            problem, self.equations, self.workspace, self.options, self.counters
         )
-        self._area = float(np.linalg.norm(np.cross(one, two), axis=1).sum() / 2) or 1.0
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
         self.point = self._differentiated(self._start(), REST)
         self._remember(self.point, REST)
-        self._last = [self.point]
         first = self.options.first_step * self._thin
-        self._step = first / (_largest(self.point.direction) or 1.0)
+        self._step = first / (largest(self.point.direction) or 1.0)
         self._smallest = self.options.smallest_step * self._step
-
-    # -- linear algebra ------------------------------------------------------------
-
-    def _factorise(self, evaluation: Evaluation) -> None:
-        """Factorise the tangent: Cholesky while it is stable, LDL from then on."""
-        assert evaluation.tangent is not None
-        self.counters.factorisations += 1
-        if self._definite:
-            try:
-                self._solver = self.workspace.solver(self.problem, definite=True)
-                self._solver.factorise(evaluation.tangent)
-                return
-            except NotDefinite:
-                self._definite = False
-        self._solver = self.workspace.solver(self.problem, definite=False)
-        try:
-            self._solver.factorise(evaluation.tangent)
-        except ArithmeticError as error:
-            raise StepFailed("step_too_small", "the tangent is singular") from error
-
-    def _evaluate(
-        self,
-        x: Array,
-        pressure: float,
-        dt: float,
-        tangent: bool,
-        expected: Array | None = None,
-    ) -> Evaluation:
-        """Evaluate the equations; an inverted element fails the step."""
-        try:
-            return self.equations.evaluate(x, pressure, dt, tangent, expected)
-        except InvertedElement as error:
-            place = self.equations.where(error.element)
-            raise StepFailed(
-                "inverted_element", f"an element turned inside out {place}"
-            ) from error
 
     def _correct(
         self,
@@ -147,116 +98,23 @@ class PathFollower:
         plane: tuple[Chart, float] | None = None,
         expected: Array | None = None,
     ) -> Point:
-        """Newton from a prediction, at fixed pressure or at a chart's coordinate.
-
-        Parameters
-        ----------
-        x : (n, 3) array, m
-        pressure : float, Pa
-        dt : float, s
-            Duration of the step, for laws with history.
-        plane : chart and its coordinate, optional
-            Where to stay; the pressure is then free.
-        expected : (27 e, 6) array, Pa, optional
-            Stress expected at the solution, for the tangent.
-
-        Raises
-        ------
-        StepFailed
-        """
-        eq, options = self.equations, self.options
-        fresh, age, best, last = True, 0, np.inf, np.inf
-        load = np.zeros(0)
-        self._effort = self._predicted_negative = 0
-        mixing = Mixing(options.memory)
-        across = eq.restrict(plane[0].normal) if plane else np.zeros(0)
-        for _ in range(options.iterations):
-            self.counters.iterations += 1
-            ev = self._evaluate(x, pressure, dt, fresh, expected)
-            if fresh:
-                self._effort += 1
-                if self._effort > options.factorisations:
-                    break
-                self._factorise(ev)
-                if self._effort == 1:
-                    self._predicted_negative = self._solver.negative
-                both = self._solver.solve(
-                    np.stack([-ev.residual, ev.volume_gradient], axis=1)
-                )
-                step, load = both[:, 0], both[:, 1]
-                mixing.clear()
-                age = 0
-            else:
-                step = self._solver.solve(-ev.residual)
-                age += 1
-            change = 0.0
-            if plane is not None:
-                lack = plane[1] - plane[0].measure(x) - across @ step
-                change = float(lack / (across @ load))
-                step = step + change * load
-            size = float(np.abs(step).max())
-            if not np.isfinite(size) or size > 10 * best:
-                break
-            if size <= self._tolerance:
-                return self._finish(x + eq.extend(step), pressure + change, dt)
-            if not fresh and (
-                size > 2 * last
-                or (age >= options.patience and size > options.contraction * last)
-            ):
-                fresh = True  # the step is not worth taking: factorise here first
-                continue
-            fresh, last, best = False, size, min(best, size)
-            step, change = mixing.improve(step, change)
-            x, pressure = x + eq.extend(step), pressure + change
-        raise StepFailed("step_too_small", "Newton's method did not converge")
-
-    def _finish(self, x: Array, pressure: float, dt: float) -> Point:
-        """The point of the path at an equilibrium, with its direction there."""
-        eq = self.equations
-        ev = self._evaluate(x, pressure, dt, False)
-        load = loading_direction(
-            lambda nodes: self._evaluate(nodes, pressure, dt, False).residual,
-            eq,
-            self._solver,
-            x,
-            ev,
-            self.options,
-        )
-        self._pending = ev.history
-        direction = eq.extend(load)
-        # The length of a step: mean movement of the cavity's walls, and a little of
-        # every node's.  All nodes alike would follow the tip, which stands still where
-        # it turns while the balloons grow.
-        walls = eq.extend(ev.volume_gradient) / self._area
-        nodes = self.options.node_share**2 / len(direction)
-        normal = np.vdot(walls, direction) * walls + nodes * direction
-        length = float(np.sqrt(np.vdot(normal, direction))) or np.inf
-        if self.point is not None and np.vdot(normal, self.point.direction) < 0:
-            length = -length  # past a limit point the path goes on, the pressure falls
-        return Point(
-            x=x,
-            pressure=pressure,
-            volume=ev.volume,
-            direction=direction / length,
-            normal=normal / length,
-            slope=1.0 / length,
-            stress=eq.stress(x, dt),
-            negative=self._solver.negative,
-        )
+        """The point of the path next to a prediction, see `Corrector.correct`."""
+        found = self.corrector.correct(x, pressure, dt, plane, expected)
+        return self.corrector.point(*found, dt, self.point)
 
     def _differentiated(self, point: Point, dt: float) -> Point:
         """The point with derivatives, NaN where they grow without bound.
 
         Only for points that are accepted: a refused one may lie on another branch.
         """
-        sensitivity = self._sensitivity
+        sensitivity, corrector = self._sensitivity, self.corrector
         if sensitivity is None:
             return point
 
         def visit(last: bool = False) -> Array | None:
             return sensitivity.visit(
                 self.equations,
-                self._solver,
+                corrector.solver,
                 point,
                 dt,
                 self.first_volume,
@@ -268,7 +126,9 @@ class PathFollower:
         try:
             jacobian = visit()
             if jacobian is None:  # the corrector's factorisation was not near enough
-                self._factorise(self._evaluate(point.x, point.pressure, dt, True))
+                corrector.factorise(
+                    corrector.evaluate(point.x, point.pressure, dt, True)
+                )
                 jacobian = visit(last=True)
         except (StepFailed, InvertedElement):
             jacobian = None
@@ -286,47 +146,47 @@ class PathFollower:
         x, share, step = problem.nodes, 0.0, 0.5
         if not problem.loaded_at_rest:
             return self._correct(x, pressure, REST)
+        corrector = self.corrector
         known: list[tuple[float, Array]] = [(0.0, x)]
         while share < 1:
             target = min(1.0, share + step)
             eq.set_share(target)
             try:
                 guess = extrapolate(known[-3:], target)
-                point = self._correct(guess, target * pressure, REST)
+                found = corrector.correct(guess, target * pressure, REST)
             except StepFailed:
                 self.counters.rejected += 1
                 step = (target - share) / 4
-                self._definite = True
+                corrector.definite = True
                 if step < 1e-4:
                     raise
                 continue
-            share, step = target, 1.5 * step if self._effort > 1 else 2.5 * step
-            known.append((share, point.x))
-        return point
+            share, step = target, (1.5 if corrector.effort > 1 else 2.5) * step
+            known.append((share, found[0]))
+        return corrector.point(*found, REST, None)
 
     def _accept(self, point: Point, x_predicted: Array, moved: float) -> None:
         """Move on to a point and choose the next step from the prediction's error."""
         options = self.options
-        error = _largest(point.x - x_predicted) / self._thin
+        error = largest(point.x - x_predicted) / self._thin
         order = 2 if self._before is None else 4
         wanted = options.predictor_error / max(error, 1e-12)
         # A corrector that had to factorise again was close to failing.
-        growth = options.largest_growth if self._effort == 1 else 1.0
+        growth = options.largest_growth if self.corrector.effort == 1 else 1.0
         factor = min(growth, max(0.3, 0.9 * wanted ** (1 / order)))
         self._step = max(moved * factor, 2 * self._smallest)
         self._before, self.point = self.point, point
-        self._last = [*self._last, point][-3:]
-        self._definite = point.negative == 0
+        self.corrector.definite = point.negative == 0
         self.counters.steps += 1
 
     def _remember(self, point: Point, dt: float) -> None:
         """Let the step of duration `dt` that led to a point be part of the history."""
         if self._sensitivity is not None:
             self._sensitivity.keep(point, dt)
-        self.equations.history = self._pending
+        self.equations.history = self.corrector.history
 
     def advance(self, pressure: float) -> bool:
-        """One step towards a cavity pressure; True when it was reached.
+        """One step towards a cavity pressure, Pa; True when it was reached.
 
         Raises
         ------
@@ -351,14 +211,14 @@ class PathFollower:
             x, predicted = chart.at(s)
             goal = pressure if hit else predicted
             try:
-                dt = self._due - self._clock
+                dt = self.due - self._clock
                 if not hit:
                     whole = max(abs(pressure - here.pressure), 1e-9)
                     dt *= min(1.0, abs(goal - here.pressure) / whole)
                 plane = None if hit or timed else (chart, s)
-                expected = expected_stress(chart, self._last, s)
+                expected = chart.stress(s)
                 point = self._correct(x, goal, dt, plane, expected)
-                if _largest(point.x - x) > self.options.largest_error * self._thin:
+                if largest(point.x - x) > self.options.largest_error * self._thin:
                     detail = "the solution left its branch"
                     raise StepFailed("step_too_small", detail)
                 past = (point.pressure - pressure) * (here.pressure - pressure) < 0
@@ -367,12 +227,14 @@ class PathFollower:
             except StepFailed as failure:
                 self.counters.rejected += 1
                 timed = False
-                self._step = abs(s) / 3
+                self._step = abs(s) / 2
                 if self._critical(goal):
                     raise StepFailed("limit_point", "stability is lost") from failure
                 if self._step < self._smallest:
                     raise
-                self._definite = here.negative == 0  # a bad iterate tells nothing
+                self.corrector.definite = (
+                    here.negative == 0
+                )  # a bad iterate tells nothing
                 continue
             self._length += abs(s)
             if self._wants_derivatives(hit):
@@ -380,6 +242,9 @@ class PathFollower:
             self._remember(point, dt)
             self._clock += dt
             self._accept(point, x, abs(s))
+            self.turned = self.limit is None and here.slope > 0 >= point.slope
+            if self.turned:
+                self.limit = self.locate_limit()
             return hit
 
     def _settle(self, dt: float) -> None:
@@ -392,14 +257,14 @@ class PathFollower:
         begun, done, part = self._clock, 0.0, 1.0
         while done < 1:
             old, part = self.point, min(part, 1.0 - done)
-            larger = self._grow(begun + (done + part) * (self._due - begun))
+            larger = self._grow(begun + (done + part) * (self.due - begun))
             try:
                 x = self._enlarged(old.x, larger)
                 point = self._correct(x, old.pressure, part * dt, expected=old.stress)
             except StepFailed:
                 self.counters.rejected += 1
-                self._definite = old.negative == 0
-                self._grow(begun + done * (self._due - begun))
+                self.corrector.definite = old.negative == 0
+                self._grow(begun + done * (self.due - begun))
                 part /= 4
                 if part < 1e-3:
                     raise
@@ -407,19 +272,16 @@ class PathFollower:
             if self._wants_derivatives(dt > 0):
                 point = self._differentiated(point, part * dt)
             self._remember(point, part * dt)
-            # The way here was another one; its shape is the best guess of the next.
-            self._last = [
-                replace(
-                    one,
-                    x=one.x + (point.x - old.x),
-                    stress=one.stress + (point.stress - old.stress),
+            if self._before is not None:
+                # The way here was another one; its shape is the best guess of the next.
+                before = self._before
+                self._before = replace(
+                    before,
+                    x=before.x + (point.x - old.x),
+                    stress=before.stress + (point.stress - old.stress),
                 )
-                for one in self._last[:-1]
-            ]
-            self._before = self._last[-1] if self._last and self._before else None
-            self._last.append(point)
             self.point = point
-            self._definite = point.negative == 0
+            self.corrector.definite = point.negative == 0
             self.counters.steps += 1
             done += part
         self._clock += dt
@@ -444,11 +306,29 @@ class PathFollower:
         larger: Array = x + self.equations.extend(self.equations.restrict(moved))
         return larger
 
+    def wait(self, time: float, held: bool) -> None:
+        """Let the next target be due at a time, s; `held` at the pressure there is.
+
+        Raises
+        ------
+        StepFailed
+        """
+        self._clock, self.due = self.due, time
+        if held and (self._remembers or self._swells):
+            self._settle(self.due - self._clock)
+        elif self._swells:
+            self._settle(0.0)
+
+    def head_for(self, pressure: float) -> None:
+        """Go the way along the path on which a pressure, Pa, lies."""
+        up = pressure > self.point.pressure
+        self._turn(1.0 if up == (self.point.slope > 0) else -1.0)
+
     def _turn(self, heading: float) -> None:
         """Go along the path (1) or back (-1); a law with memory goes another way."""
         if heading == self._heading:
             return
-        self._heading, self._last = heading, [self.point]
+        self._heading = heading
         if self._remembers:
             self._before = None
             self._step *= self.options.turned
@@ -462,7 +342,7 @@ class PathFollower:
         """
         here = self.point
         close = abs(predicted - here.pressure) <= 1e-4 * abs(here.pressure)
-        lost = self._predicted_negative > here.negative == 0
+        lost = self.corrector.predicted_negative > here.negative == 0
         return close and lost and not self._past_limits
 
     def _wants_derivatives(self, hit: bool) -> bool:
@@ -514,82 +394,8 @@ class PathFollower:
         -------
         Outcome
         """
-        problem, outcome = self.problem, Outcome()
         self._keep_all = keep_all
         self._past_limits = far_enough is not None
         times = np.arange(1.0, len(targets) + 1) if times is None else times
-        self._due = min(0.0, float(times[0]) - 1.0)
-        now = (gauge(problem, self.point.pressure), self._due)
-        for i, wanted, time, whole in legs(targets, times, now, self._parts):
-            target = problem.pressure_gain * wanted + problem.pressure_offset
-            self._clock, self._due = self._due, time
-            held = target == self.point.pressure
-            try:
-                if held and (self._remembers or self._swells):
-                    self._settle(self._due - self._clock)
-                elif self._swells:
-                    self._settle(0.0)
-            except StepFailed as failure:
-                words = f"{failure.detail}, held at {self._at()}"
-                return self._end(outcome, failure.status, words)
-            if held:
-                if whole:
-                    outcome.keep(i, self.point)
-                continue
-            rising = (target > self.point.pressure) == (self.point.slope > 0)
-            self._turn(1.0 if rising else -1.0)
-            while True:
-                if self.counters.steps >= self.options.max_steps:
-                    return self._end(
-                        outcome, "step_limit", f"after {self.counters.steps} steps"
-                    )
-                slope = self.point.slope
-                try:
-                    reached = self.advance(target)
-                except StepFailed as failure:
-                    if failure.status == "limit_point":
-                        self.limit = self.point
-                        return outcome.end(
-                            "limit_point", f"{failure.detail} at {self._at()}"
-                        )
-                    words = f"{failure.detail}, past {self._at()}"
-                    return self._end(outcome, failure.status, words)
-                if self.limit is None and slope > 0 and self.point.slope <= 0:
-                    self.limit = self.locate_limit()
-                    if keep_all or far_enough is not None:
-                        outcome.keep(i, self.limit)
-                    if far_enough is None:
-                        return self._end(outcome, "limit_point", "")
-                if problem.mesh.touching(self.point.x):
-                    words = f"roof and floor touch at {self._at()}"
-                    return self._end(outcome, "contact", words)
-                if (reached and whole) or keep_all or self.limit is not None:
-                    outcome.keep(i, self.point)
-                if reached:
-                    break
-                if self.limit is not None and far_enough and far_enough(self.point):
-                    return self._end(outcome, "limit_point", f"ends at {self._at()}")
-        return outcome if self.limit is None else self._end(outcome, "completed", "")
-
-    def _end(self, outcome: Outcome, status: str, words: str) -> Outcome:
-        """End a path; one that has turned says so first, whatever came after."""
-        if self.limit is None:
-            return outcome.end(status, words)
-        turned = f"the path turns at {self._at(self.limit)}"
-        more = f"; followed beyond: {words}" if words else ""
-        return outcome.end("limit_point", turned + more)
-
-    def _at(self, point: Point | None = None) -> str:
-        """Gauge pressure of a point in words."""
-        pressure = (point or self.point).pressure
-        return f"{gauge(self.problem, pressure) / 1e3:.4g} kPa"
-
-
-def _largest(field: Array) -> float:
-    """Largest component of a nodal field."""
-    return float(np.abs(field).max())
-
-
-def gauge(problem: Body, pressure: float) -> float:
-    """Gauge pressure of a cavity pressure, Pa."""
-    return (pressure - problem.pressure_offset) / problem.pressure_gain
+        self.due = min(0.0, float(times[0]) - 1.0)
+        return Journey(self, keep_all, far_enough).go(targets, times)

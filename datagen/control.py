@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -90,10 +91,22 @@ class Outcome:
         return self
 
 
+class Leg(NamedTuple):
+    """Part of a load step: its number, pressure (Pa) and time (s) at the part's end.
+
+    whole : bool; whether the load step ends with it.
+    """
+
+    step: int
+    pressure: float
+    time: float
+    whole: bool
+
+
 def legs(
     targets: Array, times: Array, now: tuple[float, float], parts: int
-) -> Iterator[tuple[int, float, float, bool]]:
-    """Parts of load steps in turn: number, pressure and time at the end, whether whole.
+) -> Iterator[Leg]:
+    """Parts of load steps in turn.
 
     Parameters
     ----------
@@ -107,9 +120,9 @@ def legs(
     for i, (wanted, due) in enumerate(zip(targets, times, strict=True)):
         for share in np.arange(1, parts) / parts:
             part = pressure + share * (wanted - pressure)
-            yield i, float(part), float(time + share * (due - time)), False
+            yield Leg(i, float(part), float(time + share * (due - time)), False)
         pressure, time = float(wanted), float(due)
-        yield i, pressure, time, True
+        yield Leg(i, pressure, time, True)
 
 
 class StepFailed(ArithmeticError):

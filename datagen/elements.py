@@ -139,31 +139,40 @@ def deformation(x: Array, cells: Array, gradient: Array, inverse: Array) -> Arra
     """
     elements = cells.shape[0]
     f = np.empty((elements * 27, 9))
-    xe = np.empty((27, 3))
+    flat = flattened(gradient)
+    m = np.empty((3, 81))
     for e in range(elements):
+        m[:] = 0.0
         for a in range(27):
-            for i in range(3):
-                xe[a, i] = x[cells[e, a], i]
+            node = cells[e, a]
+            x0, x1, x2 = x[node, 0], x[node, 1], x[node, 2]
+            for k in range(81):
+                m[0, k] += x0 * flat[a, k]
+                m[1, k] += x1 * flat[a, k]
+                m[2, k] += x2 * flat[a, k]
         for q in range(27):
-            m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0
-            for a in range(27):
-                g0, g1, g2 = gradient[q, a, 0], gradient[q, a, 1], gradient[q, a, 2]
-                m00 += xe[a, 0] * g0
-                m01 += xe[a, 0] * g1
-                m02 += xe[a, 0] * g2
-                m10 += xe[a, 1] * g0
-                m11 += xe[a, 1] * g1
-                m12 += xe[a, 1] * g2
-                m20 += xe[a, 2] * g0
-                m21 += xe[a, 2] * g1
-                m22 += xe[a, 2] * g2
             d = inverse[e, q]
             out = f[27 * e + q]
-            for j in range(3):
-                out[j] = m00 * d[j] + m01 * d[3 + j] + m02 * d[6 + j]
-                out[3 + j] = m10 * d[j] + m11 * d[3 + j] + m12 * d[6 + j]
-                out[6 + j] = m20 * d[j] + m21 * d[3 + j] + m22 * d[6 + j]
+            for i in range(3):
+                m0, m1, m2 = m[i, 3 * q], m[i, 3 * q + 1], m[i, 3 * q + 2]
+                for j in range(3):
+                    out[3 * i + j] = m0 * d[j] + m1 * d[3 + j] + m2 * d[6 + j]
     return f
+
+
+@njit(cache=True)
+def flattened(gradient: Array) -> Array:
+    """Gradients (27, 27, 3), point by node by direction, as (27, 81), node by rest.
+
+    What a node adds at all points is then one row: the loops over it are as long as
+    the processor likes them.
+    """
+    flat = np.empty((27, 81))
+    for q in range(27):
+        for a in range(27):
+            for j in range(3):
+                flat[a, 3 * q + j] = gradient[q, a, j]
+    return flat
 
 
 @njit(cache=True, fastmath=True)
@@ -232,8 +241,8 @@ def internal_force(
     pressure = np.empty((elements, 27))
     cof, dets = np.empty((27, 9)), np.empty(27)
     rhs, theta = np.empty(4), np.empty(4)
-    s = np.empty(9)
-    fe = np.empty((27, 3))
+    flat = flattened(gradient)
+    s = np.empty((3, 81))
     for e in range(elements):
         rhs[:] = 0.0
         for q in range(27):
@@ -244,7 +253,6 @@ def internal_force(
             theta[i] = 0.0
             for j in range(4):
                 theta[i] += mass_inverse[e, i, j] * rhs[j]
-        fe[:] = 0.0
         for q in range(27):
             p = 0.0
             for i in range(4):
@@ -256,21 +264,23 @@ def internal_force(
             w = weight[e, q]
             # s = w P D^T, so that the force is s times the reference gradient
             for i in range(3):
-                p0 = t[3 * i] + p * cof[q, 3 * i]
-                p1 = t[3 * i + 1] + p * cof[q, 3 * i + 1]
-                p2 = t[3 * i + 2] + p * cof[q, 3 * i + 2]
+                p0 = w * (t[3 * i] + p * cof[q, 3 * i])
+                p1 = w * (t[3 * i + 1] + p * cof[q, 3 * i + 1])
+                p2 = w * (t[3 * i + 2] + p * cof[q, 3 * i + 2])
                 for j in range(3):
-                    s[3 * i + j] = w * (
+                    s[i, 3 * q + j] = (
                         p0 * d[3 * j] + p1 * d[3 * j + 1] + p2 * d[3 * j + 2]
                     )
-            for a in range(27):
-                g0, g1, g2 = gradient[q, a, 0], gradient[q, a, 1], gradient[q, a, 2]
-                fe[a, 0] += s[0] * g0 + s[1] * g1 + s[2] * g2
-                fe[a, 1] += s[3] * g0 + s[4] * g1 + s[5] * g2
-                fe[a, 2] += s[6] * g0 + s[7] * g1 + s[8] * g2
         for a in range(27):
-            for i in range(3):
-                force[cells[e, a], i] += fe[a, i]
+            f0 = f1 = f2 = 0.0
+            for k in range(81):
+                f0 += s[0, k] * flat[a, k]
+                f1 += s[1, k] * flat[a, k]
+                f2 += s[2, k] * flat[a, k]
+            node = cells[e, a]
+            force[node, 0] += f0
+            force[node, 1] += f1
+            force[node, 2] += f2
     return force, pressure
 
 
@@ -330,6 +340,16 @@ def replace_stress(tangent: Array, change: Array) -> None:
 
 
 @njit(cache=True, fastmath=True)
+def _combine(
+    c: Array, at: int, g0: Array, g1: Array, g2: Array, out: Array, place: int
+) -> None:
+    """Write c[at] g0 + c[at + 1] g1 + c[at + 2] g2 into out[place : place + 27]."""
+    c0, c1, c2 = c[at], c[at + 1], c[at + 2]
+    for n in range(27):
+        out[place + n] = c0 * g0[n] + c1 * g1[n] + c2 * g2[n]
+
+
+@njit(cache=True, fastmath=True)
 def add_stiffness(
     data: Array,
     position: Array,
@@ -363,78 +383,97 @@ def add_stiffness(
         See `ElementData`.
     """
     elements = weight.shape[0]
-    g = np.empty((3, 27))
-    block = np.empty((81, 81))
-    work = np.empty((9, 27))
+    g = np.empty((81, 27))  # gradients; rows (point, direction)
+    last = np.empty((81, 81))  # what the gradients are multiplied with, i <= k
+    middle, first = np.empty((81, 54)), np.empty((81, 27))
+    with_last, with_middle = np.empty((27, 81)), np.empty((27, 54))
+    with_first = np.empty((27, 27))
+    row, held = np.empty(81), np.empty((4, 81))
     cof, b = np.empty(9), np.empty(81)
     moment = np.empty((4, 81))
     c = np.empty((9, 9))
     for e in range(elements):
-        block[:] = 0.0
         moment[:] = 0.0
         for q in range(27):
             d = inverse[e, q]
             for a in range(27):
                 r0, r1, r2 = gradient[q, a, 0], gradient[q, a, 1], gradient[q, a, 2]
-                g[0, a] = r0 * d[0] + r1 * d[3] + r2 * d[6]
-                g[1, a] = r0 * d[1] + r1 * d[4] + r2 * d[7]
-                g[2, a] = r0 * d[2] + r1 * d[5] + r2 * d[8]
+                for j in range(3):
+                    g[3 * q + j, a] = r0 * d[j] + r1 * d[3 + j] + r2 * d[6 + j]
             point = 27 * e + q
             det = cofactor(f[point], cof)
             w = weight[e, q]
             # dP/dF plus the pressure times d2J/dF2 = (cof cof - swapped) / J
             factor = pressure[e, q] / det
-            for r in range(9):
-                i, jj = r // 3, r % 3
-                for s in range(9):
-                    k, ll = s // 3, s % 3
-                    c[r, s] = w * (
-                        tangent[point, 9 * r + s]
-                        + factor * (cof[r] * cof[s] - cof[3 * i + ll] * cof[3 * k + jj])
-                        + local * bulk[e] * cof[r] * cof[s]
-                    )
+            stiff = factor + local * bulk[e]
+            for i in range(3):
+                for j in range(3):
+                    r = 3 * i + j
+                    for k in range(3):
+                        for m in range(3):
+                            s = 3 * k + m
+                            c[r, s] = w * (
+                                tangent[point, 9 * r + s]
+                                + stiff * cof[r] * cof[s]
+                                - factor * cof[3 * i + m] * cof[3 * k + j]
+                            )
+            g0, g1, g2 = g[3 * q], g[3 * q + 1], g[3 * q + 2]
             for i in range(3):
                 for a in range(27):
                     b[27 * i + a] = (
-                        cof[3 * i] * g[0, a]
-                        + cof[3 * i + 1] * g[1, a]
-                        + cof[3 * i + 2] * g[2, a]
+                        cof[3 * i] * g0[a]
+                        + cof[3 * i + 1] * g1[a]
+                        + cof[3 * i + 2] * g2[a]
                     )
             for m in range(4):
                 weighted = w * basis[q, m]
                 for r in range(81):
                     moment[m, r] += weighted * b[r]
-            for k in range(3):
-                # work[iJ, b] = sum over L of c[iJ, kL] g[L, b], rows with i <= k
-                for r in range(3 * k + 3):
-                    c0, c1, c2 = c[r, 3 * k], c[r, 3 * k + 1], c[r, 3 * k + 2]
-                    for n in range(27):
-                        work[r, n] = c0 * g[0, n] + c1 * g[1, n] + c2 * g[2, n]
-                for i in range(k + 1):
-                    for a in range(27):
-                        g0, g1, g2 = g[0, a], g[1, a], g[2, a]
-                        row = block[27 * i + a]
-                        for n in range(27):
-                            row[27 * k + n] += (
-                                g0 * work[3 * i, n]
-                                + g1 * work[3 * i + 1, n]
-                                + g2 * work[3 * i + 2, n]
-                            )
+            # Rows (point, J) of sum over L of c[iJ, kL] g[L, b], for i <= k.
+            for j in range(3):
+                r = 3 * q + j
+                _combine(c[j], 0, g0, g1, g2, first[r], 0)
+                for i in range(2):
+                    _combine(c[3 * i + j], 3, g0, g1, g2, middle[r], 27 * i)
+                for i in range(3):
+                    _combine(c[3 * i + j], 6, g0, g1, g2, last[r], 27 * i)
+        # One product each for the columns of a direction k: sums over all points.
+        np.dot(g.T, first, with_first)
+        np.dot(g.T, middle, with_middle)
+        np.dot(g.T, last, with_last)
         # Condensed pressure: B^T M^-1 (K M) M^-1 B with a constant bulk modulus.
         for m in range(4):
+            for r in range(81):
+                held[m, r] = 0.0
             for n in range(4):
                 h = (1.0 - local) * bulk[e] * mass_inverse[e, m, n]
                 for r in range(81):
-                    left = h * moment[m, r]
-                    for s in range(r, 81):
-                        block[r, s] += left * moment[n, s]
+                    held[m, r] += h * moment[n, r]
         entry = 0
-        for r in range(81):
-            for s in range(r, 81):
-                where = position[e, entry]
-                if where >= 0:
-                    data[where] += block[r, s]
-                entry += 1
+        for i in range(3):
+            for a in range(27):
+                r = 27 * i + a
+                for n in range(27):
+                    row[54 + n] = with_last[a, 27 * i + n]
+                if i <= 1:
+                    for n in range(27):
+                        row[27 + n] = with_middle[a, 27 * i + n]
+                if i == 0:
+                    for n in range(27):
+                        row[n] = with_first[a, n]
+                m0, m1, m2, m3 = moment[0, r], moment[1, r], moment[2, r], moment[3, r]
+                for s in range(27 * i, 81):
+                    row[s] += (
+                        m0 * held[0, s]
+                        + m1 * held[1, s]
+                        + m2 * held[2, s]
+                        + m3 * held[3, s]
+                    )
+                for s in range(r, 81):
+                    where = position[e, entry]
+                    if where >= 0:
+                        data[where] += row[s]
+                    entry += 1
 
 
 @lru_cache(maxsize=1)

@@ -26,10 +26,11 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from .continuation import PathFollower, gauge
+from .continuation import PathFollower
 from .control import StepFailed
 from .equilibrium import Workspace
 from .errors import FileError
+from .journey import gauge
 from .mesh import COARSER, LEVELS
 from .observe import Instruments
 from .problem import Problem

@@ -9,9 +9,10 @@ from dataclasses import asdict
 import numpy as np
 
 from .chart import Point
-from .continuation import PathFollower, gauge
+from .continuation import PathFollower
 from .control import Options, Outcome, StepFailed
 from .equilibrium import Workspace
+from .journey import gauge
 from .observe import Instruments
 from .problem import Problem
 from .response import CONVERGED, OUTPUT_NAMES, Path, Response

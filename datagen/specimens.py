@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .bricks import brick, closed
-from .continuation import PathFollower, gauge
+from .continuation import PathFollower
 from .control import Options, Outcome, StepFailed
 from .device import LIMITS
 from .equilibrium import Workspace
 from .errors import InputError
+from .journey import gauge
 from .materials import Hyperelastic, Law
 from .mesh import LOWER, UPPER, Mesh, MeshLevel, graded
 from .problem import Body, lame

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from datagen.continuation import PathFollower, gauge
+from datagen.continuation import PathFollower
 from datagen.device import DESIGN_SPACE, MAX_PRESSURE, Design, named_device
+from datagen.journey import gauge
 from datagen.mesh import COARSER, LEVELS, SKETCH, MeshLevel
 from datagen.mesh_error import bracket
 from datagen.observe import Instruments

@@ -157,15 +157,15 @@ MUTATIONS = (
     ),
     Mutation(
         "the path turns back at its limit point",
-        "continuation.py",
+        "corrector.py",
         "length = -length  # past",
         "length = +length  # past",
         (*standard("sphere"), LIMIT),
     ),
     Mutation(
         "negative eigenvalues not reported",
-        "continuation.py",
-        "negative=self._solver.negative",
+        "corrector.py",
+        "negative=self.solver.negative",
         "negative=0",
         (STABLE,),
     ),

@@ -1,0 +1,122 @@
+"""Visiting wanted pressures along an equilibrium path, and how the visit ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .chart import Point
+from .control import Leg, Outcome, StepFailed, legs
+from .problem import Body
+
+if TYPE_CHECKING:
+    from .continuation import PathFollower
+
+Array = np.ndarray
+
+
+class Journey:
+    """One run of a path follower through gauge pressures.
+
+    Parameters
+    ----------
+    follower : PathFollower
+    keep_all : bool
+        Keep the points on the way and the limit point, too.
+    far_enough : callable, optional
+        Go on past a limit point until this is true of a point; all points there are
+        kept.  Without it the path ends at the limit point.
+    """
+
+    def __init__(
+        self,
+        follower: PathFollower,
+        keep_all: bool,
+        far_enough: Callable[[Point], bool] | None,
+    ) -> None:
+        self.follower, self.keep_all = follower, keep_all
+        self.far_enough = far_enough
+        self.outcome = Outcome()
+
+    def go(self, targets: Array, times: Array) -> Outcome:
+        """Visit gauge pressures (s,), Pa, at their times (s,), s, in turn."""
+        follower = self.follower
+        problem = follower.problem
+        now = (gauge(problem, follower.point.pressure), follower.due)
+        for leg in legs(targets, times, now, follower.parts):
+            if self._visit(leg):
+                return self.outcome
+        if follower.limit is not None:
+            self._end("completed", "")
+        return self.outcome
+
+    def _visit(self, leg: Leg) -> bool:
+        """Go to the pressure of one leg; True where the path ends before."""
+        follower = self.follower
+        problem = follower.problem
+        target = problem.pressure_gain * leg.pressure + problem.pressure_offset
+        held = target == follower.point.pressure
+        try:
+            follower.wait(leg.time, held)
+        except StepFailed as failure:
+            return self._end(failure.status, f"{failure.detail}, held at {self._at()}")
+        if held:
+            if leg.whole:
+                self.outcome.keep(leg.step, follower.point)
+            return False
+        follower.head_for(target)
+        while True:
+            if follower.counters.steps >= follower.options.max_steps:
+                words = f"after {follower.counters.steps} steps"
+                return self._end("step_limit", words)
+            try:
+                reached = follower.advance(target)
+            except StepFailed as failure:
+                if failure.status == "limit_point":
+                    follower.limit = follower.point
+                    words = f"{failure.detail} at {self._at()}"
+                    self.outcome.end("limit_point", words)
+                    return True
+                words = f"{failure.detail}, past {self._at()}"
+                return self._end(failure.status, words)
+            if self._look(leg.step, reached and leg.whole):
+                return True
+            if reached:
+                return False
+
+    def _look(self, step: int, wanted: bool) -> bool:
+        """Keep the new point where it is wanted; True where the path ends there."""
+        follower, point, go_on = self.follower, self.follower.point, self.far_enough
+        if follower.limit is not None and follower.turned:
+            if self.keep_all or go_on is not None:
+                self.outcome.keep(step, follower.limit)
+            if go_on is None:
+                return self._end("limit_point", "")
+        if follower.problem.mesh.touching(point.x):
+            return self._end("contact", f"roof and floor touch at {self._at()}")
+        if wanted or self.keep_all or follower.limit is not None:
+            self.outcome.keep(step, point)
+        if wanted or follower.limit is None or go_on is None or not go_on(point):
+            return False
+        return self._end("limit_point", f"ends at {self._at()}")
+
+    def _end(self, status: str, words: str) -> bool:
+        """End the path; one that has turned says so first, whatever came after."""
+        limit = self.follower.limit
+        if limit is not None:
+            status, turned = "limit_point", f"the path turns at {self._at(limit)}"
+            words = turned + (f"; followed beyond: {words}" if words else "")
+        self.outcome.end(status, words)
+        return True
+
+    def _at(self, point: Point | None = None) -> str:
+        """Gauge pressure of a point in words."""
+        pressure = (point or self.follower.point).pressure
+        return f"{gauge(self.follower.problem, pressure) / 1e3:.4g} kPa"
+
+
+def gauge(problem: Body, pressure: float) -> float:
+    """Gauge pressure of a cavity pressure, Pa."""
+    return (pressure - problem.pressure_offset) / problem.pressure_gain
