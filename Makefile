@@ -52,7 +52,8 @@ figures: $(TESTABLE) ## draw the pictures of the README again
 	$(BIN)/python -m examples.readme_figures
 
 refinement: $(INSTALLED) ## settle the published device on refined meshes (hours)
-	OMP_NUM_THREADS=1 $(BIN)/python docs/refine.py $(CASES) $(MESHES)
+	OMP_NUM_THREADS=1 $(BIN)/python -m docs.refine one
+	OMP_NUM_THREADS=1 $(BIN)/python -m docs.refine $(CASES) $(MESHES)
 
 mesh-error: $(INSTALLED) ## calibrate the mesh error on PATHS random designs (many hours; resumes)
 	OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m docs.mesh_error $(PATHS)

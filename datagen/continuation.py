@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .adjoint import Adjoint
 from .chart import Chart, Point, extrapolate, largest
 from .control import Counters, Options, Outcome, StepFailed
 from .corrector import Corrector
@@ -57,16 +58,10 @@ class PathFollower:
         self.workspace = workspace or Workspace()
         self.options = options or Options()
         self.equations = Equilibrium(problem, self.workspace)
-        self._sensitivity: Sensitivity | None = None
-        if directions:
-            assert isinstance(problem, Problem), "outputs are those of a device"
-            self._sensitivity = Sensitivity(problem, directions, self.workspace)
         laws = [law for one in directions for law in one.problem.laws]
         fades = any(getattr(law, "fades", False) for law in (*problem.laws, *laws))
         self.parts = self.options.fading_parts if fades else 1
-        self._remembers = any(law.history_size for law in problem.laws) or (
-            self._sensitivity is not None and self._sensitivity.has_history
-        )
+        self._remembers = any(law.history_size for law in (*problem.laws, *laws))
         self._swells = any(
             one.swellings for one in (problem, *(d.problem for d in directions))
         )
@@ -83,6 +78,13 @@ class PathFollower:
         self.corrector = Corrector(
             problem, self.equations, self.workspace, self.options, self.counters
         )
+        self._sensitivity: Sensitivity | Adjoint | None = None
+        if directions:
+            assert isinstance(problem, Problem), "outputs are those of a device"
+            follows = self._remembers or self._swells or problem.observers
+            self._sensitivity = (Sensitivity if follows else Adjoint)(
+                problem, directions, self.workspace, self.corrector
+            )
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
         self.point = self._differentiated(self._start(), REST)
         self._remember(self.point, REST)
@@ -111,20 +113,13 @@ class PathFollower:
         if sensitivity is None:
             return point
 
-        def visit(last: bool = False) -> Array | None:
-            return sensitivity.visit(
-                self.equations,
-                corrector.solver,
-                point,
-                dt,
-                self.first_volume,
-                self._length,
-                last,
-            )
+        def visit(last: bool) -> Array | None:
+            where = self._length
+            return sensitivity.visit(point, dt, self.first_volume, where, last)
 
         jacobian: Array | None = None
         try:
-            jacobian = visit()
+            jacobian = visit(last=False)
             if jacobian is None:  # the corrector's factorisation was not near enough
                 corrector.factorise(
                     corrector.evaluate(point.x, point.pressure, dt, True)

@@ -17,9 +17,10 @@ from .chart import Chart, Point, largest
 from .control import Counters, Options, StepFailed
 from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
 from .linear import NotDefinite, Solver
-from .loading import loading_direction
 from .mixing import Mixing
 from .problem import Body
+from .rates import Linearised
+from .tangent import solve_tangent
 
 Array = np.ndarray
 
@@ -51,10 +52,13 @@ class Corrector:
     predicted_negative : int
         Negative eigenvalues of the tangent at its prediction.
     history : per layer, (points, h) array
-        At the last equilibrium; see `Evaluation`.
+        At the last point; see `Evaluation`.
+    linearised : Linearised
+        The equations at the last point.
     """
 
     solver: Solver
+    linearised: Linearised
 
     def __init__(
         self,
@@ -210,15 +214,17 @@ class Corrector:
         """
         eq, ev = self.equations, self.evaluate(x, pressure, dt)
         self.history = ev.history
-        load = loading_direction(
-            lambda nodes: self.evaluate(nodes, pressure, dt).residual,
-            eq,
+        # K u = dV/dx.  A poor tangent of the path costs more than these few solves: it
+        # spoils the next predictions.
+        self.linearised = Linearised(eq, x, pressure, dt)
+        load, _ = solve_tangent(
+            self.linearised.times,
             self.solver,
-            x,
-            ev,
-            self.options,
+            ev.volume_gradient[:, None],
+            self.options.tangent_tolerance,
+            self.options.tangent_iterations,
         )
-        direction = eq.extend(load)
+        direction = eq.extend(load[:, 0])
         # The length of a step: mean movement of the cavity's walls, and a little of
         # every node's.  All nodes alike would follow the tip, which stands still where
         # it turns while the balloons grow.

@@ -225,6 +225,18 @@ class Evaluation(NamedTuple):
     history: tuple[Array, ...]
 
 
+class Kinematics(NamedTuple):
+    """What nodes alone decide of an evaluation.
+
+    f : (27 e, 9) array; elastic deformation gradients, all with positive determinants.
+    volume : float, m3.  gradient : (n, 3) array, m2; see `Evaluation`.
+    """
+
+    f: Array
+    volume: float
+    gradient: Array
+
+
 class Equilibrium:
     """Equilibrium equations of one problem.
 
@@ -232,15 +244,21 @@ class Equilibrium:
     ----------
     problem : Body
     workspace : Workspace
+    like : Equilibrium, optional
+        Of a problem that this one may share its undeformed elements with.
     """
 
-    def __init__(self, problem: Body, workspace: Workspace) -> None:
+    def __init__(
+        self, problem: Body, workspace: Workspace, like: Equilibrium | None = None
+    ) -> None:
+        self._like = like
+        self.data: el.ElementData
         self.problem, self.workspace = problem, workspace
         mesh = problem.mesh
         self.pattern, _ = workspace.pattern(problem)
         self.unknowns = len(self.pattern.free)
         self._tensor = el.face_tensor()
-        self._gradient = reference().gradient
+        self.gradient = reference().gradient
         self._points = [np.repeat(mesh.layer == layer, 27) for layer in (LOWER, UPPER)]
         self._mu = np.repeat(problem.shear_modulus, 27)
         self.history: tuple[Array, ...] = tuple(
@@ -283,7 +301,10 @@ class Equilibrium:
         if problem.swellings:
             same = np.tile(np.eye(3), (len(mesh.cells), 1, 1))
             growth = self._size * (same if growth is None else growth)
-        self.data = el.element_data(problem.nodes, mesh.cells, growth)
+        if self._like is not None and self.strains_as(self._like.problem):
+            self.data = self._like.data
+        else:
+            self.data = el.element_data(problem.nodes, mesh.cells, growth)
         body = np.zeros(problem.nodes.shape)
         if problem.density.any() and problem.gravity.any():
             # Mass is that of the stress-free shape, whatever grows later.
@@ -294,6 +315,30 @@ class Equilibrium:
         if problem.forces is not None:
             body += share * problem.forces
         self._body = self.restrict(body)
+
+    def strains_as(self, other: Body) -> bool:
+        """Whether nodes make the same elastic strains here as in another problem."""
+        mine = self.problem
+        return (
+            mine.nodes is other.nodes
+            and mine.growth is other.growth
+            and not (mine.swellings or other.swellings)
+            and mine.gas is other.gas
+        )
+
+    def kinematics(self, x: Array) -> Kinematics:
+        """What deformed nodes x (n, 3), m, alone decide.
+
+        Raises
+        ------
+        InvertedElement
+            When det F is zero or below at some quadrature point.
+        """
+        f = el.deformation(x, self.problem.mesh.cells, self.gradient, self.data.inverse)
+        least, where = el.smallest_determinant(f)
+        if not least > 0:
+            raise InvertedElement(where // 27)
+        return Kinematics(f, *self._cavities(x))
 
     def restrict(self, field: Array) -> Array:
         """Unknowns (k,) of a nodal field (n, 3)."""
@@ -306,9 +351,19 @@ class Equilibrium:
         field[self.pattern.free[:, 0], self.pattern.free[:, 1]] = unknowns
         return field
 
-    def _respond(
+    def respond(
         self, f: Array, dt: float, tangent: bool
     ) -> tuple[Array, Array, tuple[Array, ...]]:
+        """Isochoric stress, its tangent and the history of `LawResult`, at all points.
+
+        Parameters
+        ----------
+        f : (27 e, 9) array
+            Deformation gradients.
+        dt : float, s
+        tangent : bool
+            Whether the tangent is wanted.
+        """
         laws = self.problem.laws
         if self._one_law:
             result = laws[0].respond(f, self._mu, np.zeros((len(f), 0)), dt, tangent)
@@ -331,6 +386,7 @@ class Equilibrium:
         dt: float = 1.0,
         tangent: bool = False,
         expected: Array | None = None,
+        known: Kinematics | None = None,
     ) -> Evaluation:
         """Residual, and the tangent where it is wanted.
 
@@ -345,35 +401,19 @@ class Equilibrium:
         expected : (27 e, 6) array, Pa, optional
             Second Piola-Kirchhoff stress that makes the tangent's geometric part in
             place of the stress at `x`.
+        known : Kinematics, optional
+            At `x`.
 
         Raises
         ------
         InvertedElement
             When det F is zero or below at some quadrature point.
         """
-        mesh, data = self.problem.mesh, self.data
-        f = el.deformation(x, mesh.cells, self._gradient, data.inverse)
-        least, where = el.smallest_determinant(f)
-        if not least > 0:
-            raise InvertedElement(where // 27)
-        stress, slope, history = self._respond(f, dt, tangent)
-        arrays = (
-            self._gradient,
-            data.inverse,
-            data.weight,
-            data.basis,
-            data.mass_inverse,
-        )
-        bulk = self.problem.bulk_modulus
-        force, element_pressure = el.internal_force(
-            f, stress, bulk, self.problem.local_share, len(x), mesh.cells, *arrays
-        )
-        for faces, matrices, _ in self._springs:
-            surfaces.add_matrix_force(force, x - self.problem.nodes, faces, matrices)
-        stiff = [
-            one.respond(self.problem.nodes, x, force, tangent) for one, _ in self._skins
-        ]
-        volume, gradient = self._cavities(x)
+        mesh = self.problem.mesh
+        f, volume, gradient = known or self.kinematics(x)
+        stress, slope, history = self.respond(f, dt, tangent)
+        force, element_pressure = self.internal_force(f, stress)
+        stiff = self.add_surfaces(x, force, tangent)
         normal = self.restrict(gradient)
         residual = self.restrict(force) - pressure * normal - self._body
         values = None
@@ -389,9 +429,9 @@ class Equilibrium:
                 f,
                 slope,
                 element_pressure,
-                bulk,
+                self.problem.bulk_modulus,
                 self.problem.local_share,
-                *arrays,
+                *self._arrays(),
             )
             el.add_load_stiffness(
                 values,
@@ -407,6 +447,64 @@ class Equilibrium:
                 surfaces.add_matrices(values, spots, matrices)
         return Evaluation(residual, volume, normal, values, history)
 
+    def _arrays(self) -> tuple[Array, ...]:
+        """What the kernels need of the undeformed elements, in their order."""
+        data = self.data
+        return (
+            self.gradient,
+            data.inverse,
+            data.weight,
+            data.basis,
+            data.mass_inverse,
+        )
+
+    def internal_force(self, f: Array, stress: Array) -> tuple[Array, Array]:
+        """Nodal forces of the elements (n, 3), N, and their pressure (e, 27), Pa.
+
+        Parameters
+        ----------
+        f, stress : (27 e, 9) arrays
+            Deformation gradients and isochoric stress, Pa.
+        """
+        problem = self.problem
+        force: tuple[Array, Array] = el.internal_force(
+            f,
+            stress,
+            problem.bulk_modulus,
+            problem.local_share,
+            len(problem.nodes),
+            problem.mesh.cells,
+            *self._arrays(),
+        )
+        return force
+
+    def add_surfaces(self, x: Array, force: Array, tangent: bool) -> list[Array]:
+        """Add the forces of springs and skins to `force` (n, 3), N; skins' matrices."""
+        nodes = self.problem.nodes
+        for faces, matrices in self.spring_matrices():
+            surfaces.add_matrix_force(force, x - nodes, faces, matrices)
+        return [one.respond(nodes, x, force, tangent) for one, _ in self._skins]
+
+    @property
+    def has_outer_forces(self) -> bool:
+        """Whether springs, skins or weight act."""
+        return bool(self._springs or self._skins or self._body.any())
+
+    def outer_forces(self, x: Array) -> Array:
+        """What springs, skins and weight add to the residual, (n, 3) N."""
+        force = self.extend(-self._body)
+        self.add_surfaces(x, force, False)
+        return force
+
+    def spring_matrices(self) -> list[tuple[Array, Array]]:
+        """Faces (f, 9) of the elastic supports, and their matrices (f, 27, 27), N/m."""
+        return [(faces, matrices) for faces, matrices, _ in self._springs]
+
+    def faces_gradient(self, x: Array) -> Array:
+        """dV/dx (n, 3), m2, of the volume inside the cavity's faces."""
+        gradient: Array = el.cavity(x, self.problem.mesh.cavity_faces, self._tensor)[1]
+        return gradient
+
     def volume(self, x: Array) -> float:
         """Volume of the cavities in the half model, m3."""
         return self._cavities(x)[0]
@@ -417,7 +515,7 @@ class Equilibrium:
         volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
         if len(filled):
             f = el.deformation(
-                x, mesh.cells[filled], self._gradient, data.inverse[filled]
+                x, mesh.cells[filled], self.gradient, data.inverse[filled]
             )
             more, slope = gas_volume(
                 f,
@@ -425,7 +523,7 @@ class Equilibrium:
                 self._gas,
                 len(x),
                 mesh.cells,
-                self._gradient,
+                self.gradient,
                 data.inverse,
                 data.weight,
             )
@@ -434,23 +532,10 @@ class Equilibrium:
 
     def stress(self, x: Array, dt: float = 1.0) -> Array:
         """Second Piola-Kirchhoff stress (27 e, 6), Pa, at the quadrature points."""
-        mesh, data = self.problem.mesh, self.data
-        f = el.deformation(x, mesh.cells, self._gradient, data.inverse)
-        isochoric = self._respond(f, dt, False)[0]
-        pressure = el.internal_force(
-            f,
-            isochoric,
-            self.problem.bulk_modulus,
-            self.problem.local_share,
-            len(x),
-            mesh.cells,
-            self._gradient,
-            data.inverse,
-            data.weight,
-            data.basis,
-            data.mass_inverse,
-        )[1]
-        return el.second_stress(f, isochoric, pressure)
+        cells, inverse = self.problem.mesh.cells, self.data.inverse
+        f = el.deformation(x, cells, self.gradient, inverse)
+        isochoric = self.respond(f, dt, False)[0]
+        return el.second_stress(f, isochoric, self.internal_force(f, isochoric)[1])
 
     def where(self, element: int) -> str:
         """Place of an element in words, for messages."""

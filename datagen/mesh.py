@@ -11,7 +11,7 @@ membranes bend sharply and the re-entrant edges are singular.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -48,6 +48,9 @@ class MeshLevel:
         Size of the element at a balloon's edge over the thinner membrane's thickness.
     edge_z : float
         Size of the element at the cavity over that of equal ones in the membrane.
+    edge_root : float
+        Size of the element at the clamp over the thinner membrane's thickness; infinite
+        where the elements grow from the first balloon all the way to the clamp.
     """
 
     name: str
@@ -62,6 +65,7 @@ class MeshLevel:
     edge_x: float
     edge_y: float
     edge_z: float
+    edge_root: float
 
     def along(self, divisions: int) -> int:
         """Elements along half of one of `divisions` balloons."""
@@ -71,28 +75,33 @@ class MeshLevel:
         """Elements across half of one of `divisions` balloons."""
         return self._share(self.balloon_y, divisions)
 
-    @staticmethod
-    def _share(count: int, divisions: int) -> int:
-        """Shorter balloons need fewer elements, but always more than half of them."""
-        return count if divisions == 1 else max(count - divisions, count // 2 + 1)
+    def _share(self, count: int, divisions: int) -> int:
+        """Shorter balloons need fewer elements, but not many fewer."""
+        if divisions == 1:
+            return count
+        if self.name in FORMER:
+            return max(count - divisions, count // 2 + 1)
+        return count - 1
 
 
 LEVELS: dict[str, MeshLevel] = {
     level.name: level
     for level in (
-        MeshLevel("draft", 4, 3, 2, 2, 2, 1, 1, 1, 0.8, 1.0, 1.0),
-        MeshLevel("standard", 6, 4, 3, 3, 2, 1, 2, 1, 0.85, 0.9, 0.8),
-        MeshLevel("fine", 8, 6, 5, 4, 4, 4, 3, 3, 0.25, 0.25, 0.6),
+        MeshLevel("draft", 4, 4, 3, 3, 2, 1, 1, 1, 1.0, 0.85, 1.0, 2.0),
+        MeshLevel("standard", 5, 4, 4, 3, 3, 1, 2, 1, 1.3, 0.9, 0.8, 2.0),
+        MeshLevel("fine", 9, 6, 7, 4, 5, 2, 3, 2, 0.35, 0.35, 0.6, 0.35),
     )
 }
 
 FORMER: dict[str, MeshLevel] = {
-    "standard-1": MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0)
+    "standard-1": MeshLevel(
+        "standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, np.inf
+    )
 }
 """Levels of earlier generator versions, by which their datasets are solved again."""
 
 
-SKETCH = MeshLevel("sketch", 3, 2, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0)
+SKETCH = MeshLevel("sketch", 3, 3, 2, 2, 2, 1, 1, 1, 1.0, 1.0, 1.0, 2.0)
 """Below draft: not an answer, only what others are compared with."""
 
 COARSER: dict[str, MeshLevel] = {
@@ -157,6 +166,44 @@ def graded(
     return grid
 
 
+def graded_both(
+    start: float, stop: float, count: int, first: float, last: float
+) -> Array:
+    """Grid lines that grow geometrically, alike, away from both ends.
+
+    Parameters
+    ----------
+    start, stop : float, m
+        `stop` is the larger.
+    count : int
+        Number of elements.
+    first, last : float, m
+        Wanted sizes of the elements at `start` and `stop`; an infinite one leaves the
+        grading to the other, and all are equal where the elements would be too small.
+
+    Returns
+    -------
+    (count + 1,) array, m
+    """
+    if not np.isfinite(first):
+        return graded(stop, start, count, last)[::-1]
+    length = stop - start
+    place = np.arange(count)
+
+    def sizes(ratio: float) -> Array:
+        found: Array = np.minimum(first * ratio**place, last * ratio ** place[::-1])
+        return found
+
+    if count == 1 or sizes(1.0).sum() >= length:
+        return np.linspace(start, stop, count + 1)
+    ratio = length / min(first, last)
+    if count > 2:  # two elements are the end ones, in proportion
+        ratio = brentq(lambda r: sizes(r).sum() - length, 1.0, ratio)
+    lines = np.concatenate([[0.0], np.cumsum(sizes(ratio))])
+    grid: Array = start + lines * (length / lines[-1])
+    return grid
+
+
 def _join(*pieces: Array) -> Array:
     """Increasing grid lines from pieces that share their end points."""
     ordered = [piece if piece[-1] > piece[0] else piece[::-1] for piece in pieces]
@@ -180,7 +227,8 @@ def grid_lines(design: Design, level: MeshLevel) -> tuple[Array, Array, Array]:
     along = level.along(design.divisions_x)
     across = level.across(design.divisions_y)
 
-    x = [graded(bx[0][0], 0.0, level.root, edge_x)]
+    edge_root = level.edge_root * thin
+    x = [graded_both(0.0, bx[0][0], level.root, edge_root, edge_x)]
     for i, (left, right) in enumerate(bx):
         x.append(_between(left, right, along, edge_x))
         if i + 1 < len(bx):
@@ -217,7 +265,8 @@ class Reference:
     shape : (27, 27) array, point by node; gradient : (27, 27, 3) array, point by
     node by direction, on the unit cube; weight : (27,) array; point : (27, 3) array.
     The same on a face (9 nodes, 3 x 3 points): face_shape (9, 9), face_gradient
-    (9, 9, 2), face_weight (9,).
+    (9, 9, 2), face_weight (9,).  node_gradient : (27, 27, 3) array, as `gradient`, at
+    the nodes.
     """
 
     shape: Array
@@ -227,6 +276,7 @@ class Reference:
     face_shape: Array
     face_gradient: Array
     face_weight: Array
+    node_gradient: Array
 
 
 def _lattice(locations: Array) -> Array:
@@ -247,7 +297,19 @@ def reference() -> Reference:
         gradient = np.stack([slope.T for _, slope in values], axis=1)
         tables.append((shape, np.ascontiguousarray(gradient), weights, points.T))
     (shape, gradient, weight, point), (fshape, fgradient, fweight, _) = tables
-    return Reference(shape, gradient, weight, point, fshape, fgradient, fweight)
+    element = ElementHex2()
+    order = _lattice(element.doflocs)
+    slopes = [element.lbasis(element.doflocs[order].T, int(i))[1].T for i in order]
+    return Reference(
+        shape,
+        gradient,
+        weight,
+        point,
+        fshape,
+        fgradient,
+        fweight,
+        node_gradient=np.stack(slopes, axis=1),
+    )
 
 
 @dataclass(frozen=True)
@@ -318,6 +380,8 @@ class StripMesh(Mesh):
     tip_weights : (3,) array
         Their shape functions at mid-thickness.
     level : MeshLevel
+    place : (n, 3) array of int
+        Number of each node along x, y and z.
     """
 
     balloon: Array
@@ -327,6 +391,50 @@ class StripMesh(Mesh):
     tip: Array
     tip_weights: Array
     level: MeshLevel
+    place: Array
+
+    def of(self, design: Design) -> StripMesh:
+        """The same mesh on a design with as many balloons, other lengths.
+
+        Raises
+        ------
+        InputError
+            When the design has other divisions.
+        """
+        lines = [_with_middles(g) for g in grid_lines(design, self.level)]
+        if [len(g) for g in lines] != (self.place.max(axis=0) + 1).tolist():
+            divisions = (design.divisions_x, design.divisions_y)
+            raise InputError("divisions", divisions, "those of the mesh")
+        nodes = np.stack([g[self.place[:, i]] for i, g in enumerate(lines)], axis=1)
+        tip, weights = _tip(self.place, lines[2], design.thickness / 2)
+        return replace(self, nodes=nodes, tip=tip, tip_weights=weights)
+
+
+def _with_middles(lines: Array) -> Array:
+    """Grid lines and the middles between them, in order: where nodes lie."""
+    ordered: Array = np.sort(np.concatenate([lines, (lines[1:] + lines[:-1]) / 2]))
+    return ordered
+
+
+def _tip(place: Array, z: Array, height: float) -> tuple[Array, Array]:
+    """Nodes (3,) around a height at x = L, y = 0, and their shape functions there.
+
+    Parameters
+    ----------
+    place : (n, 3) array of int
+        See `StripMesh`.
+    z : (2 c + 1,) array, m
+        Heights of the nodes of c elements.
+    height : float, m
+    """
+    ends = z[::2]
+    k = min(int(np.searchsorted(ends, height, side="right")) - 1, len(ends) - 2)
+    t = (height - ends[k]) / (ends[k + 1] - ends[k])
+    last = place[:, 0].max()
+    edge = np.flatnonzero((place[:, 0] == last) & (place[:, 1] == 0))
+    column = edge[np.argsort(place[edge, 2])]
+    weights = np.array([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)])
+    return column[2 * k : 2 * k + 3], weights
 
 
 _FACE_AXES = {0: (1, 2), 1: (2, 0), 2: (0, 1)}
@@ -396,7 +504,7 @@ def build_mesh(design: Design, level: MeshLevel) -> StripMesh:
 
     # Rank each element's nodes by position: lattice order, x slowest.
     scale = np.array([len(g) for g in (x, y, z)]) * 4
-    fine = [np.sort(np.concatenate([g, (g[1:] + g[:-1]) / 2])) for g in (x, y, z)]
+    fine = [_with_middles(g) for g in (x, y, z)]
     rank = [
         np.searchsorted(f, nodes[:, axis] - 1e-9 * (f[-1] - f[0]))
         for axis, f in enumerate(fine)
@@ -435,12 +543,10 @@ def build_mesh(design: Design, level: MeshLevel) -> StripMesh:
         "floor_edge": row(first[1], 0.0),
     }
 
-    half = design.thickness / 2
-    k = min(int(np.searchsorted(z, half, side="right")) - 1, len(z) - 2)
-    t = (half - z[k]) / (z[k + 1] - z[k])
-    tip_keys = ((len(fine[0]) - 1) * scale[1] * scale[2]) + np.arange(2 * k, 2 * k + 3)
-    tip = np.array([node_at[int(i)] for i in tip_keys])
-    tip_weights = np.array([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)])
+    place = np.stack(rank, axis=1)
+    # To the last bit where `StripMesh.of` puts them.
+    nodes = np.stack([g[place[:, i]] for i, g in enumerate(fine)], axis=1)
+    tip, tip_weights = _tip(place, fine[2], design.thickness / 2)
 
     wet = np.unique(np.concatenate(faces))
     at_floor = rank[2] == 2 * level.membrane
@@ -469,4 +575,5 @@ def build_mesh(design: Design, level: MeshLevel) -> StripMesh:
         tip=tip,
         tip_weights=tip_weights,
         level=level,
+        place=place,
     )

@@ -15,7 +15,7 @@ from .device import DESIGN_FIELDS, DESIGN_SPACE, LIMITS, MAX_PRESSURE, Design
 from .effects import Effect, catalogue
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
-from .mesh import COARSER, MeshLevel, mesh_level
+from .mesh import COARSER, mesh_level
 from .mesh_error import estimate
 from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
@@ -132,10 +132,18 @@ class Model:
 
     def problem(self, design: Design) -> Problem:
         """The boundary-value problem of a design with the active effects in it."""
-        return self._problem(design, mesh_level(self.level))
+        return self._on(self._base(design))
 
-    def _problem(self, design: Design, level: MeshLevel) -> Problem:
-        problem = baseline(design, level)
+    def _base(self, design: Design) -> Problem:
+        """The baseline of a design; the last one is kept, and its arrays shared."""
+        kept: tuple[Design, Problem] | None = self.__dict__.get("_kept")
+        if kept is None or kept[0] != design:
+            kept = (design, baseline(design, mesh_level(self.level)))
+            self.__dict__["_kept"] = kept
+        return kept[1]
+
+    def _on(self, problem: Problem) -> Problem:
+        """A baseline with the active effects in it."""
         for one in self.active:
             problem = one.apply(problem, self.__dict__["_values"][one.name])
         return problem
@@ -167,12 +175,15 @@ class Model:
                 raise InputError("sensitivities", name, ", ".join(known))
         values: dict[str, dict[str, float]] = self.__dict__["_values"]
 
+        base, level = self._base(design), mesh_level(self.level)
+
         def of_field(name: str, value: float) -> Problem:
-            return self.problem(design.with_values(**{name: value}))
+            moved = design.with_values(**{name: value})
+            return self._on(baseline(moved, level, base))
 
         def of_parameter(effect: str, name: str, value: float) -> Problem:
             moved = {**values, effect: {**values[effect], name: value}}
-            return replace(self, parameters=moved).problem(design)
+            return replace(self, parameters=moved)._on(base)
 
         found = []
         for name in CONTINUOUS_FIELDS:
@@ -249,7 +260,7 @@ class Model:
     def _with_error(self, design: Design, path: Path, response: Response) -> Response:
         """A response of one device with its `mesh_error`."""
         began = time.perf_counter()
-        coarser = self._problem(design, COARSER[self.level])
+        coarser = self._on(baseline(design, COARSER[self.level]))
         error, limit = estimate(
             coarser, path, response, self.level, self._coarser_workspace
         )

@@ -157,9 +157,17 @@ def lame(modulus: Array, poisson: float = POISSON) -> tuple[Array, Array]:
     return modulus / (2 * (1 + poisson)), modulus / (3 * (1 - 2 * poisson))
 
 
-def baseline(design: Design, level: MeshLevel) -> Problem:
-    """The contract's model of a design: no effect but the pressure acts."""
-    mesh = build_mesh(design, level)
+def baseline(design: Design, level: MeshLevel, like: Problem | None = None) -> Problem:
+    """The contract's model of a design: no effect but the pressure acts.
+
+    Parameters
+    ----------
+    design : Design
+    level : MeshLevel
+    like : Problem, optional
+        Of a design with the same divisions, on the same level: its mesh is moved.
+    """
+    mesh = build_mesh(design, level) if like is None else like.mesh.of(design)
     modulus = np.where(mesh.layer == UPPER, design.upper_modulus, design.lower_modulus)
     shear, bulk = lame(modulus)
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)

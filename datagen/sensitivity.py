@@ -1,4 +1,4 @@
-"""Derivatives of every output by design variables and effect parameters.
+"""Derivatives of every output by design variables and effect parameters, with memory.
 
 At an equilibrium R(u; t) = 0 the displacements follow a parameter by
 K du/dt = -dR/dt.  dR/dt is a difference of two residuals at the same deformation: the
@@ -7,7 +7,8 @@ know its own derivative.  All parameters are solved together with the factorisat
 the path's corrector has left, and the outputs are differenced along du/dt.
 
 Laws with history bring derivatives of their own history along: each direction keeps
-the history of its moved problem, so every step of the path has to be visited.
+the history of its moved problem, so every step of the path has to be visited.  Without
+any memory `Adjoint` gives the same for a fraction of the solves.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .chart import Point
+from .corrector import Corrector
 from .equilibrium import Equilibrium, Workspace
 from .errors import EffectError
-from .linear import Solver
 from .observe import Instruments
 from .problem import Problem
 
@@ -52,6 +53,26 @@ class Direction:
     problem: Problem
 
 
+def check_alike(problem: Problem, directions: Sequence[Direction]) -> None:
+    """Refuse directions that change what is held or the mesh's topology.
+
+    Raises
+    ------
+    EffectError
+    """
+    for direction in directions:
+        other = direction.problem
+        if (
+            other.nodes.shape != problem.nodes.shape
+            or not (other.fixed == problem.fixed).all()
+        ):
+            raise EffectError(
+                f"{direction.name}: no derivative: a step changes what is held or "
+                "meshed; an effect that does so leaving its off value has "
+                "derivatives at other values only"
+            )
+
+
 class Sensitivity:
     """Derivatives along one path.
 
@@ -62,6 +83,8 @@ class Sensitivity:
     directions : sequence of k Direction
     workspace : Workspace
         The path follower's.
+    corrector : Corrector
+        The path follower's; its solver holds a factorised tangent near each point.
 
     Raises
     ------
@@ -74,23 +97,17 @@ class Sensitivity:
         problem: Problem,
         directions: Sequence[Direction],
         workspace: Workspace,
+        corrector: Corrector,
     ) -> None:
+        check_alike(problem, directions)
         self.problem, self.directions = problem, tuple(directions)
+        self._corrector = corrector
         self._instruments = Instruments(problem)
         self.names = tuple(direction.name for direction in directions)
-        self._ahead: list[Equilibrium] = []
-        for direction in directions:
-            other = direction.problem
-            if (
-                other.nodes.shape != problem.nodes.shape
-                or not (other.fixed == problem.fixed).all()
-            ):
-                raise EffectError(
-                    f"{direction.name}: no derivative: a step changes what is held or "
-                    "meshed; an effect that does so leaving its off value has "
-                    "derivatives at other values only"
-                )
-            self._ahead.append(Equilibrium(other, workspace))
+        self._ahead = [
+            Equilibrium(one.problem, workspace, corrector.equations)
+            for one in directions
+        ]
         self._read_ahead = [Instruments(one.problem) for one in directions]
         self._first_volume = [one.volume(one.problem.nodes) for one in self._ahead]
         # Derivatives of the displacements, (unknowns, k), here and at the last points.
@@ -101,26 +118,15 @@ class Sensitivity:
         )
 
     def visit(
-        self,
-        here: Equilibrium,
-        solver: Solver,
-        point: Point,
-        dt: float,
-        first_volume: float,
-        where: float,
-        last: bool = False,
+        self, point: Point, dt: float, first_volume: float, where: float, last: bool
     ) -> Array | None:
         """Derivatives of the outputs at a point of the path, at fixed gauge pressure.
 
         Parameters
         ----------
-        here : Equilibrium
-            Of the problem, with the history before the step that led to `point`.
-        solver : Solver
-            Holds a factorised tangent at `point` or near it.
         point : Point
         dt : float, s
-            Duration of that step.
+            Duration of the step that led to it.
         first_volume : float, m3
             Of the cavities at rest.
         where : float, m
@@ -130,10 +136,11 @@ class Sensitivity:
 
         Returns
         -------
-        (m, k) array, SI; outputs by parameters.  None where `solver` is not near
-        enough; what was found so far is kept for another try.
+        (m, k) array, SI; outputs by parameters.  None where the corrector's
+        solver is not near enough; what was found so far is kept for another try.
         """
-        problem = self.problem
+        problem, here = self.problem, self._corrector.equations
+        solver = self._corrector.solver
         residual = here.evaluate(point.x, point.pressure, dt).residual
         values = self._instruments.read(point.x, point.volume - first_volume)
 

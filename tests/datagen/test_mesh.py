@@ -8,7 +8,14 @@ import pytest
 from datagen.device import Design, named_device
 from datagen.elements import cavity, element_data, face_tensor
 from datagen.errors import InputError
-from datagen.mesh import UPPER, build_mesh, graded, grid_lines, mesh_level
+from datagen.mesh import (
+    UPPER,
+    build_mesh,
+    graded,
+    graded_both,
+    grid_lines,
+    mesh_level,
+)
 
 DEVICES = ["S1", "D8-4x1", "D8-2x2", "D8-1x3", "D8-6x2"]
 
@@ -115,3 +122,35 @@ def test_thin_walls_and_short_ends_still_mesh() -> None:
 def test_unknown_level_is_refused() -> None:
     with pytest.raises(InputError, match="draft, standard, fine"):
         mesh_level("coarse")
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 7])
+def test_lines_graded_towards_both_ends(count: int) -> None:
+    sizes = np.diff(graded_both(1.0, 3.0, count, 0.1, 0.2))
+    assert sizes.sum() == pytest.approx(2.0, rel=1e-14)
+    if count > 2:
+        assert sizes[[0, -1]] == pytest.approx([0.1, 0.2])
+        growth = sizes[1:] / sizes[:-1]
+        assert (np.diff(growth) < 1e-12).all()  # up first, then down
+    else:
+        assert sizes[1] == pytest.approx(2 * sizes[0])
+
+
+def test_lines_that_need_no_grading_are_even() -> None:
+    assert np.allclose(np.diff(graded_both(0.0, 1.0, 4, 0.5, 0.5)), 0.25)
+    one_sided = graded_both(0.0, 1.0, 4, np.inf, 0.1)
+    assert np.allclose(one_sided, graded(1.0, 0.0, 4, 0.1)[::-1])
+
+
+@pytest.mark.parametrize("name", ["S1", "D8-2x2"])
+def test_a_mesh_is_moved_to_another_design(name: str) -> None:
+    design = named_device(name)
+    other = design.with_values(upper_thickness=60e-6, balloon_start=2e-3, length=12e-3)
+    mesh, wanted = (build_mesh(d, mesh_level("draft")) for d in (design, other))
+    moved = mesh.of(other)
+    assert np.array_equal(moved.nodes, wanted.nodes)
+    assert np.array_equal(moved.tip, wanted.tip)
+    assert np.array_equal(moved.tip_weights, wanted.tip_weights)
+    assert np.array_equal(moved.cells, wanted.cells)
+    with pytest.raises(InputError, match="divisions"):
+        mesh.of(named_device("D8-4x1"))

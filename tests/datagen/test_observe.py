@@ -7,7 +7,8 @@ import pytest
 
 from datagen.device import named_device
 from datagen.mesh import mesh_level
-from datagen.observe import observe
+from datagen.model import Model
+from datagen.observe import Instruments, observe
 from datagen.problem import Problem, baseline
 from datagen.response import OUTPUT_NAMES
 
@@ -73,3 +74,35 @@ def test_a_bulge_is_measured_along_the_normal_of_the_bent_strip(
     found = outputs(problem, rolled(nodes, design.length, np.radians(degrees)))
     assert found["inflation"] == pytest.approx(50e-6, rel=5e-3)
     assert found["inflation_lower"] == pytest.approx(20e-6, rel=5e-3)
+
+
+@pytest.mark.parametrize(("name", "pressure"), [("S1", 50e3), ("D8-2x2", 40e3)])
+def test_gradients_against_differences(name: str, pressure: float) -> None:
+    found, x = Model(level="draft").deformed(named_device(name), pressure)
+    instruments = Instruments(found)
+    gradients = instruments.gradients(x)
+    size = np.abs(x).max()
+    for k in range(3):  # smooth: neighbouring samples keep their order
+        along = np.stack(
+            [np.sin((k + 2) * x[:, (i + k) % 3] / size + i) for i in range(3)], axis=1
+        )
+        step = 1e-9
+        ahead, behind = (
+            instruments.read(x + side * step * along, 0.0) for side in (1, -1)
+        )
+        wanted = (ahead - behind) / (2 * step)
+        for output, gradient in gradients.items():
+            slope = np.vdot(gradient, along)
+            scale = np.abs(gradient).sum()
+            error = abs(slope - wanted[OUTPUT_NAMES.index(output)])
+            assert error < 1e-5 * abs(slope) + 1e-8 * scale, output
+
+
+def test_a_strip_at_rest_is_flat(problem: Problem) -> None:
+    instruments = Instruments(problem)
+    assert instruments.flat(problem.nodes)
+    risen = problem.nodes.copy()
+    mesh = problem.mesh
+    risen[mesh.lines["roof_middle"], 2] += 1e-7
+    risen[mesh.lines["floor_middle"], 2] -= 1e-7
+    assert not instruments.flat(risen)
