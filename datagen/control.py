@@ -67,7 +67,7 @@ class Options:
     tangent_tolerance: float = 1e-4
     tangent_iterations: int = 12
     node_share: float = 0.03
-    first_step: float = 0.12
+    first_step: float = 0.3
     smallest_step: float = 1e-4
     largest_growth: float = 3.0
     max_steps: int = 400

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy.sparse import csr_matrix
 
 from . import elements as el
 from . import surfaces
@@ -31,40 +32,14 @@ class InvertedElement(ArithmeticError):
         super().__init__(f"element {element} is inverted")
 
 
-@njit(cache=True)
 def _neighbours(cells: Array, nodes: int) -> tuple[Array, Array]:
     """Sorted node neighbours (itself included) in compressed rows."""
-    count = np.zeros(nodes + 1, np.int64)
-    for e in range(cells.shape[0]):
-        for a in cells[e]:
-            count[a + 1] += 1
-    start = np.cumsum(count)
-    owner = np.empty(start[-1], np.int64)
-    fill = start[:-1].copy()
-    for e in range(cells.shape[0]):
-        for a in cells[e]:
-            owner[fill[a]] = e
-            fill[a] += 1
-    seen = np.full(nodes, -1, np.int64)
-    indptr = np.zeros(nodes + 1, np.int64)
-    for sweep in range(2):
-        if sweep == 1:
-            indices = np.empty(indptr[nodes], np.int64)
-        seen[:] = -1
-        total = 0
-        for a in range(nodes):
-            begin = total
-            for k in range(start[a], start[a + 1]):
-                for b in cells[owner[k]]:
-                    if seen[b] != a:
-                        seen[b] = a
-                        if sweep == 1:
-                            indices[total] = b
-                        total += 1
-            indptr[a + 1] = total
-            if sweep == 1:
-                indices[begin:total] = np.sort(indices[begin:total])
-    return indptr, indices
+    start = np.arange(0, cells.size + 1, cells.shape[1])
+    ones = np.ones(cells.size, dtype=np.int32)
+    holds = csr_matrix((ones, cells.ravel(), start), shape=(len(cells), nodes))
+    meets = (holds.T @ holds).tocsr()
+    meets.sort_indices()
+    return meets.indptr.astype(np.int64), meets.indices.astype(np.int64)
 
 
 @njit(cache=True)

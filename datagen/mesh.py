@@ -49,8 +49,8 @@ class MeshLevel:
     edge_z : float
         Size of the element at the cavity over that of equal ones in the membrane.
     edge_root : float
-        Size of the element at the clamp over the thinner membrane's thickness; infinite
-        where the elements grow from the first balloon all the way to the clamp.
+        Size of the element at the clamp over the thinner membrane's thickness; 0 where
+        the elements grow from the first balloon all the way to the clamp.
     """
 
     name: str
@@ -94,9 +94,7 @@ LEVELS: dict[str, MeshLevel] = {
 }
 
 FORMER: dict[str, MeshLevel] = {
-    "standard-1": MeshLevel(
-        "standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, np.inf
-    )
+    "standard-1": MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, 0.0)
 }
 """Levels of earlier generator versions, by which their datasets are solved again."""
 
@@ -178,15 +176,13 @@ def graded_both(
     count : int
         Number of elements.
     first, last : float, m
-        Wanted sizes of the elements at `start` and `stop`; an infinite one leaves the
-        grading to the other, and all are equal where the elements would be too small.
+        Wanted sizes of the elements at `start` and `stop`; all elements are equal where
+        those are larger.
 
     Returns
     -------
     (count + 1,) array, m
     """
-    if not np.isfinite(first):
-        return graded(stop, start, count, last)[::-1]
     length = stop - start
     place = np.arange(count)
 
@@ -228,7 +224,10 @@ def grid_lines(design: Design, level: MeshLevel) -> tuple[Array, Array, Array]:
     across = level.across(design.divisions_y)
 
     edge_root = level.edge_root * thin
-    x = [graded_both(0.0, bx[0][0], level.root, edge_root, edge_x)]
+    if edge_root:
+        x = [graded_both(0.0, bx[0][0], level.root, edge_root, edge_x)]
+    else:
+        x = [graded(bx[0][0], 0.0, level.root, edge_x)]
     for i, (left, right) in enumerate(bx):
         x.append(_between(left, right, along, edge_x))
         if i + 1 < len(bx):

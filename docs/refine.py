@@ -191,7 +191,7 @@ ONE = {
     "half the size at the balloon's ends": {"edge_x": 0.17},
     "half the size at its sides": {"edge_y": 0.17},
     "half the size at the clamp": {"edge_root": 0.17},
-    "no grading at the clamp": {"edge_root": np.inf},
+    "no grading at the clamp": {"edge_root": 0.0},
 }
 """Changes of mesh 2, one at a time."""
 

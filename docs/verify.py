@@ -55,6 +55,9 @@ And to the accuracy of what they are compared with:
 
 - The same patch solved under dead surface forces takes the uniform state (1e-8).
 - Stresses and tangents against differences of energies and of residuals (1e-7).
+- The residual to first order, from which derivatives are made: products with it are
+  those of the assembled tangent (1e-12), and along moved undeformed nodes it is the
+  limit of central differences (1e-7).
 """
 
 LIMITS = """\
@@ -65,8 +68,8 @@ LIMITS = """\
   and its tangent is symmetric for that reason. A follower end load has none, nor has a
   pressure on a surface whose open edge moves; a tip moment has one only in the plane,
   which is the rotation of the end face, no load of this solver.
-- **History laws.** The solver takes them (`materials.Law`), but the package has none
-  yet: their ramp and unloading tables come with them.
+- **History laws on a body.** Their ramp and unloading tables (Ogden and Roxburgh,
+  linear convolution) are tests of laws and paths, in `tests/datagen/test_history.py`.
 - **The clamp of a device.** A face that is held altogether has a singularity at its
   edge, and no closed form; the plate above is clamped as plate theory has it.
 """

@@ -59,7 +59,9 @@ def test_a_thicker_roof_on_another_mesh(plain: Array) -> None:
     # A third of the draft mesh's own error, which is 0.6 % of the inflation.
     assert (np.abs(change - wanted) < 2e-3 * plain)[:, INFLATION].all()
     exponent = np.log1p(change[:, INFLATION] / plain[:, INFLATION]) / np.log(1.05)
-    assert exponent == pytest.approx([-1.46, -0.67], abs=0.08)  # of the membrane alone
+    # -1.46 and -0.67 of the membrane alone; on a rim that yields -1.56 and -0.61, as
+    # the standard mesh has it.
+    assert exponent == pytest.approx([-1.56, -0.61], abs=0.03)
 
 
 def test_a_gradient_keeps_the_mean_and_the_cavity() -> None:

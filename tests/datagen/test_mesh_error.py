@@ -93,8 +93,8 @@ def test_two_meshes_lie_within_the_sum_of_their_bounds(model: Model, case: int) 
 
 
 def test_a_step_asked_for_alone_keeps_its_scale(model: Model) -> None:
-    """At 60 kPa the coarser tip is back where it was; the bound does not vanish."""
-    at, tip = Path(np.array([60 * KPA])), OUTPUT_NAMES.index("tip_deflection")
+    """At 56 kPa the coarser tip is back where it was; the bound does not vanish."""
+    at, tip = Path(np.array([56 * KPA])), OUTPUT_NAMES.index("tip_deflection")
     seen = follow(baseline(named_device("S1"), COARSER["draft"]), at.pressure)
     assert seen.largest[0, tip] > 15e-6 > 5 * abs(seen.coarse[0, tip])
     alone = model([named_device("S1")], [at], mesh_error=True)

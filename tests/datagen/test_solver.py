@@ -168,7 +168,7 @@ def test_balloons_that_part_ways_end_a_path() -> None:
     """
     soft = named_device("D8-3x1").with_values(upper_modulus=0.8e6, lower_modulus=1e6)
     # Whether one gives way before the others is a matter of the mesh: here it does.
-    coarse = MeshLevel("coarse", 4, 3, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0, np.inf)
+    coarse = MeshLevel("coarse", 4, 3, 2, 1, 1, 1, 1, 1, 1.0, 1.0, 1.0, 0.0)
     problem = baseline(soft, coarse)
     short, long = PathFollower(problem), PathFollower(problem)
     ended = short.run(np.array([150.0]) * KPA)

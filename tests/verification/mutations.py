@@ -1,9 +1,9 @@
 """Deliberate one-line breaks of the solver, and the tests that must catch them.
 
 Each is made in a copy of the package and tested in a fresh process.  The copies' numba
-cache is their own: it compiles a file again when its time has changed, and no compiled
-function calls one of another file.  A verification test that no break can fail verifies
-nothing.
+cache is their own: it compiles a file again when its time has changed, and of another
+file compiled functions call helpers alone.  A verification test that no break can fail
+verifies nothing.
 """
 
 from __future__ import annotations
@@ -55,6 +55,8 @@ VOLUME = "test_benchmarks.py::test_closed_cavities_have_their_volume"
 LIMIT = "test_benchmarks.py::test_sphere_goes_through_its_limit_pressure"
 STABLE = "test_benchmarks.py::test_stability_is_lost_at_the_limit"
 FINE = "test_benchmarks.py::test_fine_mesh"
+PRODUCTS = "test_rates.py::test_products_are_those_of_the_assembled_tangent"
+MOVED = "test_rates.py::test_moved_nodes_against_central_differences"
 
 MUTATIONS = (
     Mutation(
@@ -168,6 +170,27 @@ MUTATIONS = (
         "negative=self.solver.negative",
         "negative=0",
         (STABLE,),
+    ),
+    Mutation(
+        "the local share left out of the linearised residual",
+        "rates.py",
+        "stiff = over + w * local * bulk[e]",
+        "stiff = over",
+        (PRODUCTS, MOVED),
+    ),
+    Mutation(
+        "volumes that do not change where undeformed nodes move",
+        "rates.py",
+        "(change + dw[q] * off[e, q])",
+        "change",
+        (MOVED,),
+    ),
+    Mutation(
+        "gradients that follow undeformed nodes the wrong way",
+        "rates.py",
+        "value += dw[q] * p[r] - (",
+        "value += dw[q] * p[r] + (",
+        (MOVED,),
     ),
     Mutation(
         "half the derivative of the first invariant",

@@ -12,7 +12,7 @@ from .mutations import MUTATIONS, ROOT, Mutation
 
 HERE = Path(__file__).parent
 DOCUMENT = ROOT / "docs/verification.md"
-OF_THE_SOLVER = ("benchmarks", "convergence", "laws", "patch")
+OF_THE_SOLVER = ("benchmarks", "convergence", "laws", "patch", "rates")
 
 
 def names_in(file: Path) -> set[str]:
