@@ -53,6 +53,7 @@ figures: $(TESTABLE) ## draw the pictures of the README again
 
 refinement: $(INSTALLED) ## settle the published device on refined meshes (hours)
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.refine one
+	OMP_NUM_THREADS=1 $(BIN)/python -m docs.refine limits
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.refine $(CASES) $(MESHES)
 
 mesh-error: $(INSTALLED) ## calibrate the mesh error on PATHS random designs (many hours; resumes)

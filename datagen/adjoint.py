@@ -21,13 +21,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import elements as el
 from .chart import Point, extrapolate
 from .corrector import Corrector
 from .equilibrium import Equilibrium, Workspace
 from .mesh import reference
 from .observe import Instruments
 from .problem import Problem
+from .rates import nodal_deformation
 from .response import OUTPUT_NAMES
 from .sensitivity import Direction, check_alike
 from .tangent import solve_tangent
@@ -252,7 +252,7 @@ class Adjoint:
         then out of balance is small.  Directions in which nothing moves are left out.
         """
         problem, held = self.problem, self.problem.fixed
-        f = el.nodal_deformation(
+        f = nodal_deformation(
             problem.nodes, x, problem.mesh.cells, reference().node_gradient
         )
         drawn = {}

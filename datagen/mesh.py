@@ -79,9 +79,8 @@ class MeshLevel:
         """Shorter balloons need fewer elements, but not many fewer."""
         if divisions == 1:
             return count
-        if self.name in FORMER:
-            return max(count - divisions, count // 2 + 1)
-        return count - 1
+        fewer = max(count - divisions, count // 2 + 1)
+        return fewer if self.name in FORMER else max(fewer, min(count - 1, 4))
 
 
 LEVELS: dict[str, MeshLevel] = {

@@ -131,6 +131,45 @@ class Linearised:
         )
 
 
+@njit(cache=True)
+def nodal_deformation(nodes: Array, x: Array, cells: Array, gradient: Array) -> Array:
+    """Deformation gradient at the nodes, the mean of the elements around each.
+
+    Parameters
+    ----------
+    nodes, x : (n, 3) arrays, m
+        Undeformed and deformed.
+    cells : (e, 27) array of int
+    gradient : (27, 27, 3) array
+        `Reference.node_gradient`.
+
+    Returns
+    -------
+    (n, 3, 3) array
+    """
+    out = np.zeros((nodes.shape[0], 3, 3))
+    count = np.zeros(nodes.shape[0])
+    old, new, c = np.empty(9), np.empty(9), np.empty(9)
+    for e in range(cells.shape[0]):
+        for q in range(27):
+            old[:] = 0.0
+            new[:] = 0.0
+            for a in range(27):
+                node = cells[e, a]
+                for i in range(3):
+                    for k in range(3):
+                        old[3 * i + k] += nodes[node, i] * gradient[q, a, k]
+                        new[3 * i + k] += x[node, i] * gradient[q, a, k]
+            det = el.cofactor(old, c)
+            node = cells[e, q]
+            count[node] += 1
+            for i in range(3):
+                for j in range(3):
+                    for k in range(3):
+                        out[node, i, j] += new[3 * i + k] * c[3 * j + k] / det
+    return out / count.reshape(-1, 1, 1)
+
+
 @njit(cache=True, fastmath=True)
 def _pull_back(
     f: Array,

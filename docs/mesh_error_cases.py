@@ -1,7 +1,8 @@
 """Paths on every mesh, for the calibration of the discretisation error's bounds.
 
-Each solved path is one line of runs/mesh-error.jsonl; an interrupted run goes on where
-it stopped, and lines of a mesh that has changed are solved again.
+Each solved path is one line of docs/mesh-error.jsonl, which is kept with the project:
+it takes days to fill.  An interrupted run goes on where it stopped, and lines of a mesh
+that has changed are solved again.
 """
 
 from __future__ import annotations
@@ -28,8 +29,7 @@ from .refine import PRESSURES
 Array = np.ndarray
 Run = dict[str, Any]
 
-ROOT = FilePath(__file__).parents[1]
-RUNS = ROOT / "runs" / "mesh-error.jsonl"
+RUNS = FilePath(__file__).with_name("mesh-error.jsonl")
 
 MESHES = (SKETCH, LEVELS["draft"], LEVELS["standard"], LEVELS["fine"])
 PUBLISHED = {f"S1, case {case}": case for case in (1, 2, 3, 4)}
@@ -59,32 +59,50 @@ def designs(count: int) -> dict[int | str, Design]:
 
 
 def follow(design: Design, level: MeshLevel, targets: list[float]) -> Run:
-    """One path on one mesh: every equilibrium and the load step it leads to, SI."""
+    """One path on one mesh, SI: outputs at the load steps and at most up to there.
+
+    ``values`` has None at load steps that were not reached; ``largest`` is the largest
+    amount of each output on the path up to each load step.
+    """
     began = time.perf_counter()
     problem = baseline(design, level)
     follower = PathFollower(problem)
     outcome = follower.run(np.array(targets), keep_all=True)
     instruments = Instruments(problem)
-    points = [
-        [
-            step,
-            gauge(problem, point.pressure),
-            *instruments.read(point.x, point.volume - follower.first_volume).tolist(),
-        ]
-        for step, point in outcome.points
-    ]
+    steps = min(STEPS, len(targets))  # the one beyond a limit point left out
+    values = np.full((steps, len(OUTPUT_NAMES)), np.nan)
+    largest = np.zeros_like(values)
+    top = 0.0
+    for step, point in outcome.points:
+        pressure = gauge(problem, point.pressure)
+        top = max(top, pressure)
+        if step < steps:
+            seen = instruments.read(point.x, point.volume - follower.first_volume)
+            largest[step:] = np.maximum(largest[step:], np.abs(seen))
+            if np.isclose(pressure, targets[step], rtol=1e-9):
+                values[step] = seen
     limit = follower.limit and gauge(problem, follower.limit.pressure)
     return {
         "level": level.name,
         "mesh": astuple(level)[1:],
         "targets": targets,
-        "points": points,
+        "values": _plain(values),
+        "largest": _plain(largest),
+        "top": top,
         "status": outcome.status,
         "message": outcome.message,
         "limit": limit,
         "unknowns": follower.equations.unknowns,
         "seconds": time.perf_counter() - began,
     }
+
+
+def _plain(array: Array) -> list[Any]:
+    """Rows of numbers to ten digits, None for NaN."""
+    return [
+        [None if np.isnan(value) else float(f"{value:.10g}") for value in row]
+        for row in array
+    ]
 
 
 def known() -> dict[tuple[int | str, str], Run]:
@@ -108,7 +126,7 @@ def targets_of(row: int | str, design: Design, runs: list[Run]) -> list[float]:
     if row in PUBLISHED:
         return [1e3 * pressure for pressure in PRESSURES]
     run = follow(design, LEVELS["draft"], [MAX_PRESSURE])
-    top = run["limit"] or max((point[1] for point in run["points"]), default=1e3)
+    top = run["limit"] or run["top"] or 1e3
     targets = np.linspace(0, SHARE * min(top, MAX_PRESSURE), STEPS + 1)[1:]
     if run["status"] != "completed":
         targets = np.append(targets, BEYOND * top)
@@ -118,7 +136,6 @@ def targets_of(row: int | str, design: Design, runs: list[Run]) -> list[float]:
 def solve_all(paths: int) -> None:
     """Solve what is missing, one line a path."""
     done = known()
-    RUNS.parent.mkdir(exist_ok=True)
     for row, design in designs(paths).items():
         for level in MESHES:
             if (row, level.name) in done:
@@ -193,14 +210,7 @@ class Cases:
 
 def _curve(run: Run) -> tuple[Array, Array]:
     """Outputs (NaN where not reached) and their largest amount, at the load steps."""
-    steps = min(STEPS, len(run["targets"]))  # the one beyond a limit point left out
-    values = np.full((steps, len(OUTPUT_NAMES)), np.nan)
-    largest = np.zeros_like(values)
-    for step, pressure, *outputs in run["points"]:
-        if step < steps:
-            largest[step:] = np.maximum(largest[step:], np.abs(outputs))
-            if np.isclose(pressure, run["targets"][step], rtol=1e-9):
-                values[step] = outputs
+    values, largest = (np.array(run[k], dtype=float) for k in ("values", "largest"))
     return values, largest
 
 

@@ -177,7 +177,7 @@ def page(runs: dict[str, Any]) -> str:
                 value, bar = settled(runs, case, quantity)
                 cells = [f"{v:.2f} ± {b:.2f}" for v, b in zip(value, bar, strict=True)]
                 lines.append(f"| **settled** | | | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines + turning(runs)) + "\n"
 
 
 ONE = {
@@ -227,6 +227,56 @@ def shares(runs: dict[str, Any]) -> list[str]:
     return [*lines, ""]
 
 
+TURNING = (1, 2, 4)
+"""Cases whose paths turn below `FAR`."""
+
+FAR = 400e3
+"""Pa; past every limit point of the published device."""
+
+
+def limits() -> None:
+    """Limit pressures of the published device on the first two meshes, kPa."""
+    runs = known()
+    for level in MESHES[:2]:
+        for case in TURNING:
+            for family, share in FAMILIES.items():
+                name = f"limit, {name_of(case, family, level.name)}"
+                if name in runs:
+                    continue
+                print(name, flush=True)
+                problem = baseline(named_device("S1", case), level)
+                problem = replace(problem, local_share=share)
+                found = solve(problem, Path(np.array([FAR])))
+                if found.path_status != ("limit_point",):
+                    raise SystemExit(f"{name}: {found.message}")
+                limit = float(found.limit_pressure[0]) / 1e3
+                runs[name] = {"limit": round(limit, 3)}
+                write_text(RUNS, json.dumps(runs, indent=1) + "\n")
+    PAGE.write_text(page(runs))
+
+
+def turning(runs: dict[str, Any]) -> list[str]:
+    """Table of limit pressures."""
+    meshes = [level.name for level in MESHES[:2]]
+    heads = [f"{family}, mesh {mesh}" for family in FAMILIES for mesh in meshes]
+    rows = []
+    for case in TURNING:
+        names = [name_of(case, f, mesh) for f in FAMILIES for mesh in meshes]
+        if all(f"limit, {name}" in runs for name in names):
+            cells = [f"{runs[f'limit, {name}']['limit']:.2f}" for name in names]
+            rows.append(f"| {case} | {' | '.join(cells)} |")
+    if not rows:
+        return []
+    return [
+        "",
+        "## Limit pressures, kPa",
+        "",
+        f"| case | {' | '.join(heads)} |",
+        "| --- " * (len(heads) + 1) + "|",
+        *rows,
+    ]
+
+
 def main(cases: str = "1,2,3,4", meshes: str = "3") -> None:
     """Run what is missing, one after the other, and write the page."""
     runs = known()
@@ -246,5 +296,7 @@ def main(cases: str = "1,2,3,4", meshes: str = "3") -> None:
 if __name__ == "__main__":
     if sys.argv[1:] == ["one"]:
         one_at_a_time()
+    elif sys.argv[1:] == ["limits"]:
+        limits()
     else:
         main(*sys.argv[1:])
