@@ -299,7 +299,7 @@ def fine_section(cases: Cases, published: Cases) -> list[str]:
     bounds = 1e6 * one.factor * published.brackets("fine", one.floor)
     for row, case in enumerate(PUBLISHED.values()):
         for quantity, short in QUANTITIES.items():
-            value, bar, _ = settled(settled_runs, case, short)
+            value, bar = settled(settled_runs, case, short)
             i = OUTPUT_NAMES.index(quantity)
             bound = bounds[row, :, i]
             error = np.abs(1e6 * published.values["fine"][row, :, i] - value)
