@@ -87,8 +87,9 @@ def calibrate(cases: Cases, level: str, published: Cases) -> Calibration:
     Of all floors the one is taken whose scores vary least over designs, relative to
     their mean: with the tightest bound instead, c would be chosen to fit the largest
     scores, and too few new designs would be within.  k is never less than what the
-    published device needs, which is no random design.  For the limit pressure it is
-    never less than 1 where fewer than `ENOUGH` designs have one.
+    published device needs, which is no random design.  For the limit pressure k and c
+    are never less than 1 and `FINE_FLOOR` where fewer than `ENOUGH` designs have one:
+    two meshes may agree on it by accident.
     """
     outputs = range(len(OUTPUT_NAMES))
     scores, needed, seen = [], [], []
@@ -113,6 +114,8 @@ def calibrate(cases: Cases, level: str, published: Cases) -> Calibration:
     errors = turned.limit_errors(level)
     limits = np.stack([errors / turned.limit_brackets(level, c) for c in FLOORS])
     chosen = int(most_even(limits))
+    if len(turned) < ENOUGH:
+        chosen = max(chosen, FLOORS.index(FINE_FLOOR))
     limit = float(quantile(limits[chosen]))
     limit = limit if len(turned) >= ENOUGH else max(limit, 1.0)
     return Calibration(Factors(factor, floor, limit, FLOORS[chosen]), len(turned))

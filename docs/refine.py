@@ -115,11 +115,11 @@ WHERE = (
     "",
     "The tip turns about edges: those of the cavity, and those of the clamp, where the "
     "stress is singular and every mesh is too stiff or too soft a hinge. Elements that "
-    "grow from the balloon all the way to the clamp meet it with one as long as the "
-    "strip is thick: the tip then settled 2 um too high at 60 kPa (8 % of its largest "
-    "movement) while every other refinement left it where it was, and inflation did "
-    "not notice. Elements that are graded towards both cure it for one or two elements "
-    "more. `python -m docs.refine one` refines one thing at a time from mesh 2:",
+    "grow from the balloon all the way to the clamp meet its edges with one as long as "
+    "the strip is thick: however fine the mesh is elsewhere, the tip then settles too "
+    "high, and inflation does not notice (last line). Elements that are graded towards "
+    "both ends cure it for one more. `python -m docs.refine one` changes one thing at "
+    "a time from mesh 2, case 1:",
     "",
 )
 

@@ -143,7 +143,7 @@ def test_warmth_stiffens_and_the_clamp_stays(plain: Array) -> None:
     warm = values([0.0, *LOADS], {"temperature": {"change": 40.0}})
     # Both layers grow alike; the clamp, which does not, bends the strip a little.
     assert np.abs(warm[0, INFLATION]) < 1e-6
-    assert np.abs(warm[0, TIP]) < 1e-2 * 0.012 * named_device().length
+    assert np.abs(warm[0, TIP]) < 2e-2 * 0.012 * named_device().length
     assert (warm[1:, INFLATION] < plain[:, INFLATION]).all()
     grown = problem(
         {"temperature": {"change": 40.0}, "cure_mismatch": {"difference": 0.01}}
