@@ -79,21 +79,26 @@ def told(ladder: list[dict[str, Any]]) -> str:
 
 
 def investigate(shell: Shell, name: str, folder: str = "") -> str:
-    """Rank a set, adopt what is found, and say what came of it; the name found."""
+    """Rank a set, adopt what is found, and say what came of it; the name found.
+
+    Of names that these readings cannot tell apart the one that stands alone is adopted,
+    as the simplest.
+    """
     own = f" --effects-dir {folder}" if folder else ""
     said = " --effects-dir examples/effects" if folder else ""
     base = f"{name}/measurements.csv {LEVEL}"
     found = shell.json(f"rank {base}{own}", f"rank {base}{said}")
     print(f"{found['sentence']}\n")
-    if found["verdict"] != "identified":
+    answer = shell.folder / f"{name}.json"
+    answer.write_text(json.dumps(found))
+    alone = [one for one in found["effects"] if isinstance(one, str)]
+    if found["verdict"] not in ("identified", "tied") or not alone:
         return ""
-    best = str(found["effects"][0])
+    best = alone[0]
     model = f"{name}-corrected"
     command = f"adopt {best} {base} --out {model} --report {model}.html"
     made = shell.json(f"{command}{own}", f"{command}{said}")
     print(f"Error on devices left out, in noise: {told(made['ladder'])}.\n")
-    answer = shell.folder / f"{name}.json"
-    answer.write_text(json.dumps(found))
     return best
 
 
