@@ -4,7 +4,9 @@ PYTHON    ?= python3
 VENV      ?= .venv
 BENCH     ?= .venv-bench
 PORT      ?= 8000
-DESIGNS   ?= 304
+DESIGNS   ?= 1000
+FIRST     ?= $(DESIGNS)
+SENSITIVE ?= 200
 SEED      ?= 1
 LEVEL     ?= standard
 CASES     ?= 1,2,3,4
@@ -63,12 +65,13 @@ recovery: $(TESTABLE) ## plant effects by the thousand, rank them, write it down
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.recover $(SEEDS) $(WORKERS)
 
 # Built aside and copied when complete: an interrupted run, which goes on where it
-# stopped, never leaves half a model in the package.
+# stopped, never leaves half a model in the package.  FIRST=400 solves a part of the
+# designs, EXTEND=surrogate/reference/dataset.h5 takes the part that is shipped.
 reference: $(INSTALLED) ## generate the reference dataset and train its model
 	mkdir -p $(REFERENCE)
 	$(BIN)/pba generate --designs $(DESIGNS) --seed $(SEED) --level $(LEVEL) \
-	    --workers $(WORKERS) \
-	    --out $(REFERENCE)/dataset.h5 --resume
+	    --first $(FIRST) --sensitivities $(SENSITIVE) --workers $(WORKERS) \
+	    $(if $(EXTEND),--extend $(EXTEND)) --out $(REFERENCE)/dataset.h5 --resume
 	$(BIN)/pba train $(REFERENCE)/dataset.h5 --out $(REFERENCE)/model
 	mkdir -p surrogate/reference
 	cp $(REFERENCE)/dataset.h5 $(REFERENCE)/model/* surrogate/reference/

@@ -152,7 +152,6 @@ class PathFollower:
             except StepFailed:
                 self.counters.rejected += 1
                 step = (target - share) / 4
-                corrector.definite = True
                 if step < 1e-4:
                     raise
                 continue
@@ -171,7 +170,6 @@ class PathFollower:
         factor = min(growth, max(0.3, 0.9 * wanted ** (1 / order)))
         self._step = max(moved * factor, 2 * self._smallest)
         self._before, self.point = self.point, point
-        self.corrector.definite = point.negative == 0
         self.counters.steps += 1
 
     def _remember(self, point: Point, dt: float) -> None:
@@ -227,9 +225,6 @@ class PathFollower:
                     raise StepFailed("limit_point", "stability is lost") from failure
                 if self._step < self._smallest:
                     raise
-                self.corrector.definite = (
-                    here.negative == 0
-                )  # a bad iterate tells nothing
                 continue
             self._length += abs(s)
             if self._wants_derivatives(hit):
@@ -258,7 +253,6 @@ class PathFollower:
                 point = self._correct(x, old.pressure, part * dt, expected=old.stress)
             except StepFailed:
                 self.counters.rejected += 1
-                self.corrector.definite = old.negative == 0
                 self._grow(begun + done * (self.due - begun))
                 part /= 4
                 if part < 1e-3:
@@ -276,7 +270,6 @@ class PathFollower:
                     stress=before.stress + (point.stress - old.stress),
                 )
             self.point = point
-            self.corrector.definite = point.negative == 0
             self.counters.steps += 1
             done += part
         self._clock += dt

@@ -16,7 +16,7 @@ import numpy as np
 from .chart import Chart, Point, largest
 from .control import Counters, Options, StepFailed
 from .equilibrium import Equilibrium, Evaluation, InvertedElement, Workspace
-from .linear import NotDefinite, Solver
+from .linear import Solver
 from .mixing import Mixing
 from .problem import Body
 from .rates import Linearised
@@ -45,8 +45,6 @@ class Corrector:
     ----------
     solver : Solver
         Holds the last factorised tangent.
-    definite : bool
-        Whether the next tangent is expected to be positive definite.
     effort : int
         Factorisations of the last correction.
     predicted_negative : int
@@ -70,7 +68,6 @@ class Corrector:
     ) -> None:
         self.problem, self.equations = problem, equations
         self.workspace, self.options, self.counters = workspace, options, counters
-        self.definite = True
         self.effort = self.predicted_negative = 0
         self.history = equations.history
         self._tolerance = options.tolerance * problem.thin
@@ -82,7 +79,7 @@ class Corrector:
         self._area = float(np.linalg.norm(np.cross(one, two), axis=1).sum() / 2) or 1.0
 
     def factorise(self, evaluation: Evaluation) -> None:
-        """Factorise the tangent: Cholesky while it is stable, LDL from then on.
+        """Factorise the tangent.
 
         Raises
         ------
@@ -91,14 +88,7 @@ class Corrector:
         """
         assert evaluation.tangent is not None
         self.counters.factorisations += 1
-        if self.definite:
-            try:
-                self.solver = self.workspace.solver(self.problem, definite=True)
-                self.solver.factorise(evaluation.tangent)
-                return
-            except NotDefinite:
-                self.definite = False
-        self.solver = self.workspace.solver(self.problem, definite=False)
+        self.solver = self.workspace.solver(self.problem)
         try:
             self.solver.factorise(evaluation.tangent)
         except ArithmeticError as error:

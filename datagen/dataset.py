@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 SCHEMA = "pba-dataset"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Raised whenever an older reader would misread a newer file.
 
-2 brought derivatives, 3 pairs; what has neither is still written as version 1, which
-is the same then.
+2 brought derivatives, 3 pairs, 4 parts of a hypercube; what has none of them is still
+written as version 1, which is the same then.
 """
 
 LONG_NAMES = {
@@ -125,6 +125,9 @@ class Dataset:
         Digest of the dataset whose rows the paths are paired with; empty without.
     base_row : (n,) int array or None
         Row there of the same design, whose pressures are among those of the path.
+    hypercube : int
+        Size of the Latin hypercube that the designs are the first of; 0 where they are
+        all of it, or others of it.
 
     Raises
     ------
@@ -152,6 +155,7 @@ class Dataset:
     jacobian: Array | None = None
     base: str = ""
     base_row: Array | None = None
+    hypercube: int = 0
 
     def __post_init__(self) -> None:
         for name in ("inputs", "pressure", "values", "limit_pressure"):
@@ -235,6 +239,25 @@ class Dataset:
             raise InputError("output", name, ", ".join(self.outputs))
         return self.values[:, :, self.outputs.index(name)]
 
+    def row(self, row: int) -> Row:
+        """One path as it was solved: what `from_rows` collects."""
+        steps = int((self.status[row] != STEP_STATUS.index(NO_STEP)).sum())
+        slopes = self.jacobian is not None and row < self.sensitivities
+        return Row(
+            row=row,
+            outputs=self.outputs,
+            pressure=self.pressure[row, :steps],
+            values=self.values[row, :steps],
+            status=self.status[row, :steps],
+            path_status=self.path_status[row],
+            limit_pressure=float(self.limit_pressure[row]),
+            message=self.message[row],
+            parameters=self.parameters if slopes else (),
+            jacobian=self.jacobian[row, :steps]
+            if slopes and self.jacobian is not None
+            else None,
+        )
+
     def subset(self, rows: Sequence[int] | Array) -> Dataset:
         """Those rows alone, in that order."""
         chosen = np.arange(len(self))[np.asarray(rows)]
@@ -244,6 +267,7 @@ class Dataset:
             self,
             jacobian=slopes,
             base_row=None if self.base_row is None else self.base_row[chosen],
+            hypercube=0,
             sensitivities=int((chosen < self.sensitivities).sum()),
             path_status=tuple(self.path_status[i] for i in chosen),
             message=tuple(self.message[i] for i in chosen),
@@ -271,6 +295,8 @@ class Dataset:
             add(f"jacobian {clean.shape}", clean.astype("<f8").tobytes())
             add("parameters", json.dumps(self.parameters).encode())
             add("sensitivities", json.dumps(self.sensitivities).encode())
+        if self.hypercube:
+            add("hypercube", json.dumps(self.hypercube).encode())
         if self.base_row is not None:
             add("base_row", self.base_row.astype("<i8").tobytes())
             add("base", self.base.encode())
@@ -415,8 +441,10 @@ def space_to_json(space: Space) -> list[dict[str, Any]]:
 
 def _version_of(data: Dataset) -> int:
     """The oldest schema that says all there is."""
-    if data.base_row is not None:
+    if data.hypercube:
         return SCHEMA_VERSION
+    if data.base_row is not None:
+        return 3
     return 2 if data.parameters else 1
 
 
@@ -476,6 +504,8 @@ def _write(file: h5py.File, data: Dataset) -> None:
         words = "row of the same design in the dataset that the paths are paired with"
         put("base_row", "design", data.base_row, words)
         file.attrs["base"] = data.base
+    if data.hypercube:
+        file.attrs["hypercube"] = np.int64(data.hypercube)
     steps_of = "design load_step"
     pressure_words = "gauge pressure of the load step"
     put("pressure", steps_of, data.pressure, pressure_words, units="Pa")
@@ -544,6 +574,8 @@ def _read(file: h5py.File, path: Path) -> Dataset:
             "base": str(attributes["base"]),
             "base_row": file["base_row"][()],
         }
+    if "hypercube" in attributes:
+        more["hypercube"] = int(attributes["hypercube"])
     data = Dataset(
         variables=space.names,
         inputs=np.stack([file[name][()] for name in space.names], axis=1),

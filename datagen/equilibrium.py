@@ -158,29 +158,31 @@ class Workspace:
     ) -> None:
         self.backend = backend or default_backend()
         self.threads, self.size = threads, size
-        self._kept: OrderedDict[bytes, tuple[Pattern, dict[bool, Solver]]] = (
-            OrderedDict()
-        )
+        self._kept: OrderedDict[bytes, tuple[Pattern, list[Solver]]] = OrderedDict()
 
-    def pattern(self, problem: Body) -> tuple[Pattern, dict[bool, Solver]]:
-        """The problem's pattern and the solvers made for it so far."""
+    def pattern(self, problem: Body) -> Pattern:
+        """The problem's pattern."""
+        return self._of(problem)[0]
+
+    def _of(self, problem: Body) -> tuple[Pattern, list[Solver]]:
+        """The problem's pattern, and its solver once there is one."""
         cells, faces = problem.mesh.cells, problem.mesh.cavity_faces
         key = cells.tobytes() + faces.tobytes() + np.packbits(problem.fixed).tobytes()
         if key not in self._kept:
-            self._kept[key] = (make_pattern(cells, faces, problem.fixed), {})
+            self._kept[key] = (make_pattern(cells, faces, problem.fixed), [])
         self._kept.move_to_end(key)
         while len(self._kept) > self.size:
             self._kept.popitem(last=False)
         return self._kept[key]
 
-    def solver(self, problem: Body, definite: bool) -> Solver:
+    def solver(self, problem: Body) -> Solver:
         """A solver for the problem's pattern, analysed once."""
-        pattern, solvers = self.pattern(problem)
-        if definite not in solvers:
-            solvers[definite] = make_solver(
-                self.backend, pattern.indptr, pattern.indices, definite, self.threads
+        pattern, made = self._of(problem)
+        if not made:
+            made.append(
+                make_solver(self.backend, pattern.indptr, pattern.indices, self.threads)
             )
-        return solvers[definite]
+        return made[0]
 
 
 class Evaluation(NamedTuple):
@@ -230,7 +232,7 @@ class Equilibrium:
         self.data: el.ElementData
         self.problem, self.workspace = problem, workspace
         mesh = problem.mesh
-        self.pattern, _ = workspace.pattern(problem)
+        self.pattern = workspace.pattern(problem)
         self.unknowns = len(self.pattern.free)
         self._tensor = el.face_tensor()
         self.gradient = reference().gradient

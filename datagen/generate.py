@@ -6,11 +6,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,8 @@ def generate(
     resume: bool = False,
     max_pressure: float = MAX_PRESSURE,
     sensitivities: int = 0,
+    first: int | None = None,
+    extend: str | Path | None = None,
     progress: Callable[[Progress], None] | None = None,
     executor: Executor | None = None,
     solve: Solve = solve_row,
@@ -114,6 +117,11 @@ def generate(
         Each path runs to here or to its limit pressure.
     sensitivities : int
         How many rows, from the first, are differentiated, too.
+    first : int, optional
+        Solve the first designs alone, for now: any part of a hypercube is a random
+        sample, and the whole of it an even one.
+    extend : path, optional
+        A dataset of the first designs of the same hypercube, whose rows are taken over.
     progress : callable, optional
         Called with a `Progress` at the start and after each row.
     executor : concurrent.futures.Executor, optional
@@ -145,14 +153,16 @@ def generate(
     _check_whole("designs", count, 1, 10**8)
     _check_whole("seed", seed, 0, 2**63 - 1)
     _check_whole("workers", workers, 1, 4096)
-    _check_whole("sensitivities", sensitivities, 0, count)
+    rows = count if first is None else first
+    _check_whole("first", rows, 1, count)
+    _check_whole("sensitivities", sensitivities, 0, rows)
     if not (math.isfinite(max_pressure) and max_pressure > 0):
         raise InputError("max_pressure", max_pressure, "a number above 0", "Pa")
     if scheduler is not None and executor is not None:
         raise InputError("scheduler", scheduler, "no executor beside it")
     active = tuple(sorted(effects))  # the order of their names changes nothing
     space = sampled_space(active)
-    inputs = space.sample(count, seed)
+    inputs = space.sample(count, seed)[:rows]
     tasks = [
         Task(
             i,
@@ -168,7 +178,7 @@ def generate(
     if version is None:
         version = _fem_version(tasks[0])
     manifest = Manifest(
-        designs=count,
+        designs=rows,
         seed=int(seed),
         effects=active,
         level=level,
@@ -177,8 +187,10 @@ def generate(
         design_space=tuple(space_to_json(space)),
         inputs_sha256=inputs_digest(inputs),
         sensitivities=int(sensitivities),
+        hypercube=count if rows < count else 0,
     )
     fixed = {"inputs": inputs, "space": space}
+    known = [] if extend is None else _rows_of(Path(extend), manifest, inputs, count)
     return solve_all(
         out,
         manifest,
@@ -190,7 +202,35 @@ def generate(
         progress=progress,
         executor=executor,
         solve=solve,
+        known=known,
     )
+
+
+def _rows_of(path: Path, manifest: Manifest, inputs: Array, count: int) -> list[Row]:
+    """Rows of an earlier dataset, once it is one of the first designs of the same.
+
+    Raises
+    ------
+    InputError
+        Naming what differs.
+    FileError
+        When it cannot be read.
+    """
+    data = Dataset.read(path)
+    rows = len(data)
+    if rows > len(inputs) or (data.hypercube or rows) != count:
+        words = f"{rows} of {data.hypercube or rows} designs"
+        allowed = f"a file with the first of {count} designs, {len(inputs)} at most"
+        raise InputError("extend", f"{path}, {words}", allowed)
+    wanted = replace(
+        manifest,
+        designs=rows,
+        hypercube=data.hypercube,
+        inputs_sha256=inputs_digest(inputs[:rows]),
+        sensitivities=min(manifest.sensitivities, rows),
+    )
+    wanted.check_resumes(json.loads(Manifest.of(data).to_json()), path)
+    return [data.row(row) for row in range(rows)]
 
 
 def solve_all(
@@ -205,6 +245,7 @@ def solve_all(
     progress: Callable[[Progress], None] | None = None,
     executor: Executor | None = None,
     solve: Solve = solve_row,
+    known: Sequence[Row] = (),
 ) -> Dataset:
     """Solve tasks into one HDF5 file; what `generate` says of its run holds here.
 
@@ -220,6 +261,8 @@ def solve_all(
         and, for paths that are paired, `base_row`.
     workers, scheduler, resume, progress, executor, solve
         As in `generate`, and so are the errors.
+    known : sequence of Row
+        Rows that need not be solved.
     """
     out = Path(out)
     folder = parts_folder(out)
@@ -234,6 +277,7 @@ def solve_all(
             parts.remove()
             return data
         session = _Session(parts, len(tasks), progress)
+        session.take(known)
         try:
             rows = session.run(
                 tasks, solve, lambda: _pool(workers, scheduler, executor)
@@ -248,6 +292,7 @@ def solve_all(
                 max_pressure=manifest.max_pressure,
                 sensitivities=manifest.sensitivities,
                 base=manifest.base,
+                hypercube=manifest.hypercube,
                 **fixed,
             )
             data = parts.publish(data)
@@ -273,8 +318,6 @@ def _fem_version(task: Task) -> str:
 
 def _finished(out: Path, manifest: Manifest) -> Dataset:
     """The dataset that is there already, if it is the one that was asked for."""
-    import json
-
     data = Dataset.read(out)
     manifest.check_resumes(json.loads(Manifest.of(data).to_json()), out)
     return data
@@ -300,12 +343,16 @@ class _Session:
     added: int = 0
     started: float = field(default_factory=time.monotonic)
 
+    def take(self, rows: Iterable[Row]) -> None:
+        """Rows that another dataset has."""
+        for row in rows:
+            self._count(row)
+
     def run(
         self, tasks: Iterable[Task], solve: Solve, make_pool: Callable[[], Pool]
     ) -> list[Row]:
         """Rows of all tasks: what is on disk is read, what is missing is solved."""
-        for row in self.parts.read(tasks):
-            self._count(row)
+        self.take(self.parts.read(task for task in tasks if task.row not in self.rows))
         missing = [task for task in tasks if task.row not in self.rows]
         self._report()
         if missing:

@@ -1,14 +1,15 @@
 """Sparse symmetric systems: one symbolic analysis a topology, many factorisations.
 
-MKL PARDISO where its wheel is installed, SuperLU of scipy elsewhere, with the same
-answers.  A matrix is the upper triangle in compressed rows.
+MKL PARDISO where its wheel is installed (in single precision, see `deflated`), SuperLU
+of scipy elsewhere, with the same answers.  A matrix is the upper triangle in compressed
+rows.
 """
 
 from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from importlib import metadata
@@ -28,29 +29,28 @@ _MKL_CBWR_AUTO = 2
 """MKL's conditional numerical reproducibility, with the best code for the machine."""
 
 
-class NotDefinite(ArithmeticError):
-    """The matrix is not positive definite, or is singular."""
-
-
 class Solver(Protocol):
     """Factorises matrices of one pattern."""
 
     negative: int
-    """Number of negative eigenvalues of the last matrix, -1 where not known."""
+    """Number of negative eigenvalues of the last matrix."""
 
     def factorise(self, data: Array) -> None:
         """Factorise the matrix with these upper-triangle values.
 
         Raises
         ------
-        NotDefinite
-            When the matrix is singular, or indefinite and the solver is for
-            positive definite ones.
+        ArithmeticError
+            When the matrix is singular.
         """
         ...
 
     def solve(self, rhs: Array) -> Array:
-        """Solve for one or several right-hand sides, (n,) or (n, k)."""
+        """Solve for one or several right-hand sides, (n,) or (n, k).
+
+        To a few thousandths, and by a symmetric operator: for iterations that know
+        their own residual.
+        """
         ...
 
 
@@ -77,20 +77,24 @@ def mkl_library() -> ctypes.CDLL | None:
 
 
 class Pardiso:
-    """MKL PARDISO on the upper triangle; Cholesky, or LDL where `definite` is False.
+    """MKL PARDISO's LDL on the upper triangle.
 
     Parameters
     ----------
     indptr, indices : arrays of int
         Pattern of the upper triangle, sorted, every diagonal entry present.
-    definite : bool
-        Cholesky (and `NotDefinite` at a negative pivot) or LDL with pivoting.
     threads : int
         Of MKL, in this thread.
+    dtype : type
+        In which it calculates: double or single precision.
     """
 
     def __init__(
-        self, indptr: Array, indices: Array, definite: bool = True, threads: int = 1
+        self,
+        indptr: Array,
+        indices: Array,
+        threads: int = 1,
+        dtype: type = np.float64,
     ) -> None:
         library = mkl_library()
         if library is None:
@@ -100,7 +104,7 @@ class Pardiso:
         self._indptr = np.ascontiguousarray(indptr, dtype=np.int32)
         self._indices = np.ascontiguousarray(indices, dtype=np.int32)
         self._size = len(indptr) - 1
-        self._type = 2 if definite else -2
+        self._dtype = dtype
         self._handle = np.zeros(64, dtype=np.int64)
         self._settings = np.zeros(64, dtype=np.int32)
         self._settings[0] = 1  # no defaults: all settings are here
@@ -111,17 +115,18 @@ class Pardiso:
         # No scaling or matching by values, settings 10 and 12: a tangent past a limit
         # point has a few negative pivots and is else definite; one analysis serves all.
         self._settings[20] = 1  # Bunch-Kaufman pivots
+        self._settings[27] = int(dtype == np.float32)
         self._settings[34] = 1  # indices from 0
-        self._data = np.zeros(len(indices))
-        self.negative = -1
+        self._data: Array = np.zeros(len(indices), dtype)
+        self.negative = 0
         self._call(11)
 
     def _call(self, phase: int, rhs: Array | None = None) -> Array:
         columns = 1 if rhs is None or rhs.ndim == 1 else rhs.shape[1]
-        b = (
-            np.zeros(1)
+        b: Array = (
+            np.zeros(1, self._dtype)
             if rhs is None
-            else np.asfortranarray(rhs, dtype=float).copy(order="F")
+            else np.array(rhs, dtype=self._dtype, order="F")
         )
         x = np.zeros_like(b, order="F")
         error = ctypes.c_int(0)
@@ -136,7 +141,7 @@ class Pardiso:
             pointer(self._handle),
             integer(1),
             integer(1),
-            integer(self._type),
+            integer(-2),
             integer(phase),
             integer(self._size),
             pointer(self._data),
@@ -150,16 +155,14 @@ class Pardiso:
             pointer(x),
             ctypes.byref(error),
         )
-        if error.value == -4:
-            raise NotDefinite("zero or negative pivot")
         if error.value:
             raise ArithmeticError(f"PARDISO failed with error {error.value}")
         return x
 
     def factorise(self, data: Array) -> None:
-        self._data = np.ascontiguousarray(data)
+        self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._call(22)
-        self.negative = 0 if self._type == 2 else int(self._settings[22])
+        self.negative = int(self._settings[22])
 
     def solve(self, rhs: Array) -> Array:
         return self._call(33, rhs)
@@ -174,17 +177,14 @@ class Pardiso:
 class SuperLU:
     """SuperLU of scipy on the full matrix, for machines without MKL.
 
-    Definiteness is judged by the signs of the pivots: with symmetric (diagonal)
-    pivoting U's diagonal is that of LDL.
+    With symmetric (diagonal) pivoting U's diagonal is that of LDL, and its signs are
+    those of the eigenvalues.
     """
 
-    def __init__(
-        self, indptr: Array, indices: Array, definite: bool = True, threads: int = 1
-    ) -> None:
+    def __init__(self, indptr: Array, indices: Array) -> None:
         self._indptr, self._indices = indptr, indices
         self._size = len(indptr) - 1
-        self._definite = definite
-        self.negative = -1
+        self.negative = 0
 
     def factorise(self, data: Array) -> None:
         shape = (self._size, self._size)
@@ -198,27 +198,21 @@ class SuperLU:
                 options={"SymmetricMode": True},
             )
         except RuntimeError as error:
-            raise NotDefinite(str(error)) from error
+            raise ArithmeticError(str(error)) from error
         self.negative = int((self._factor.U.diagonal() < 0).sum())
-        if self._definite and self.negative:
-            raise NotDefinite(f"{self.negative} negative pivots")
 
     def solve(self, rhs: Array) -> Array:
         return np.asarray(self._factor.solve(rhs))
 
 
-BACKENDS: dict[str, Callable[[Array, Array, bool, int], Solver]] = {
-    "pardiso": Pardiso,
-    "superlu": SuperLU,
-}
+BACKENDS = ("pardiso", "superlu")
+
+SMALL = 1000
+"""Unknowns below which single precision saves nothing."""
 
 
 def make_solver(
-    backend: str,
-    indptr: Array,
-    indices: Array,
-    definite: bool = True,
-    threads: int = 1,
+    backend: str, indptr: Array, indices: Array, threads: int = 1
 ) -> Solver:
     """A solver of the named backend for one pattern.
 
@@ -227,9 +221,15 @@ def make_solver(
     InputError
         When the backend is unknown.
     """
+    from .deflated import Deflated  # it uses `Pardiso`
+
     if backend not in BACKENDS:
         raise InputError("backend", backend, ", ".join(BACKENDS))
-    return BACKENDS[backend](indptr, indices, definite, threads)
+    if backend == "superlu":
+        return SuperLU(indptr, indices)
+    if len(indptr) <= SMALL:
+        return Pardiso(indptr, indices, threads)
+    return Deflated(indptr, indices, threads)
 
 
 def default_backend() -> str:

@@ -51,9 +51,6 @@ class MeshLevel:
     edge_root : float
         Size of the element at the clamp over the thinner membrane's thickness; 0 where
         the elements grow from the first balloon all the way to the clamp.
-    fewest : int
-        Elements below which half of a divided balloon falls only where an undivided
-        one has no more; see `along` and `across`.
     """
 
     name: str
@@ -69,7 +66,6 @@ class MeshLevel:
     edge_y: float
     edge_z: float
     edge_root: float
-    fewest: int = 4
 
     def along(self, divisions: int) -> int:
         """Elements along half of one of `divisions` balloons."""
@@ -81,10 +77,7 @@ class MeshLevel:
 
     def _share(self, count: int, divisions: int) -> int:
         """Shorter balloons need fewer elements, but not many fewer."""
-        if divisions == 1:
-            return count
-        least = max(count // 2 + 1, min(count - 1, self.fewest))
-        return max(count - divisions, least)
+        return count if divisions == 1 else max(count - divisions, count // 2 + 1)
 
 
 LEVELS: dict[str, MeshLevel] = {
@@ -97,9 +90,7 @@ LEVELS: dict[str, MeshLevel] = {
 }
 
 FORMER: dict[str, MeshLevel] = {
-    "standard-1": MeshLevel(
-        "standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, 0.0, fewest=0
-    )
+    "standard-1": MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, 0.0)
 }
 """Levels of earlier generator versions, by which their datasets are solved again."""
 

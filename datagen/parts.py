@@ -42,7 +42,8 @@ class Manifest:
 
     `inputs_sha256` fixes the sampled designs themselves, which the seed alone does
     not: another version of scipy may sample otherwise.  `base` is the digest of the
-    dataset that the paths are paired with.
+    dataset that the paths are paired with, `hypercube` the size of the Latin hypercube
+    where the designs are only the first of it.
     """
 
     designs: int
@@ -55,6 +56,7 @@ class Manifest:
     inputs_sha256: str
     sensitivities: int = 0
     base: str = ""
+    hypercube: int = 0
 
     @classmethod
     def of(cls, data: Dataset) -> Manifest:
@@ -70,13 +72,15 @@ class Manifest:
             inputs_sha256=inputs_digest(data.inputs),
             sensitivities=data.sensitivities,
             base=data.base,
+            hypercube=data.hypercube,
         )
 
     def to_json(self) -> str:
         """One JSON object, keys in the order of the fields."""
         content = asdict(self)
-        if not self.base:  # as before there were pairs
-            del content["base"]
+        for name in ("base", "hypercube"):  # as before there were pairs and parts
+            if not content[name]:
+                del content[name]
         return json.dumps(content, indent=1) + "\n"
 
     def fingerprint(self) -> str:

@@ -263,6 +263,21 @@ def generate(
             metavar="K",
         ),
     ] = 0,
+    first: Annotated[
+        int | None,
+        Option(
+            help="Solve the first K designs alone; --extend goes on later.",
+            parser=whole("--first", 1, MANY_DESIGNS),
+            metavar="K",
+        ),
+    ] = None,
+    extend: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="A dataset of the first of the same designs, whose paths are taken.",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """A dataset of paths by finite elements, over a Latin hypercube of designs."""
@@ -274,7 +289,7 @@ def generate(
 
     start = time.perf_counter()
     with progress_bar("paths", quiet=as_json) as bar:
-        shown = bar.add_task("generate", total=designs, note="")
+        shown = bar.add_task("generate", total=first or designs, note="")
 
         def update(now: Progress) -> None:
             note = f"{60 * now.rate:.1f}/min, {duration(now.seconds_left)} left"
@@ -293,6 +308,8 @@ def generate(
                 resume=resume,
                 max_pressure=PRESSURE.to_si(max_pressure),
                 sensitivities=sensitivities,
+                first=first,
+                extend=extend,
                 progress=update,
             )
         except Interrupted as stop:

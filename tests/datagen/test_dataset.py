@@ -184,6 +184,7 @@ def test_digest_sees_every_field(data: Dataset) -> None:
         "effects": (),
         "generator_version": "fake-2",
         "max_pressure": 1e5,
+        "hypercube": 100,
         "space": Space((*DESIGN_SPACE, replace(STIFFENING, upper=0.6))),
     }.items():
         changed.append(replace(data, **{name: value}))
@@ -280,7 +281,7 @@ def test_the_document_is_true(
     for example in examples:
         exec(example, {})
     with h5py.File("paths.h5") as file:
-        names = {*file, *file.attrs} - {*data.variables, "title"}
+        names = {*file, *file.attrs, "hypercube"} - {*data.variables, "title"}
     for name in (*names, *PATH_STATUS):
         assert f"`{name}`" in text, name
 

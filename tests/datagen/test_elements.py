@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_matrix, triu
+from scipy.sparse import csr_matrix, diags, triu
+from scipy.sparse.linalg import eigsh
 
+from datagen.deflated import Deflated
 from datagen.device import named_device
 from datagen.elements import element_data
 from datagen.equilibrium import Equilibrium, InvertedElement, Workspace
-from datagen.linear import BACKENDS, NotDefinite, mkl_library
+from datagen.linear import BACKENDS, Pardiso, SuperLU, make_solver, mkl_library
 from datagen.mesh import mesh_level
 from datagen.problem import Problem, baseline
 
@@ -119,38 +121,122 @@ def test_inverted_reference_is_refused(problem: Problem) -> None:
         element_data(nodes, problem.mesh.cells)
 
 
-@pytest.mark.skipif(mkl_library() is None, reason="no MKL wheel on this machine")
+needs_mkl = pytest.mark.skipif(
+    mkl_library() is None, reason="no MKL wheel on this machine"
+)
+
+
+@needs_mkl
 def test_both_solvers_give_the_same_answer(
     problem: Problem, equations: Equilibrium
 ) -> None:
     ev = equations.evaluate(problem.nodes, 0.0, tangent=True)
     assert ev.tangent is not None
     answers = []
-    for name in ("pardiso", "superlu"):
-        for definite in (True, False):
-            pattern = equations.pattern
-            solver = BACKENDS[name](pattern.indptr, pattern.indices, definite)
-            solver.factorise(ev.tangent)
-            assert solver.negative == 0
-            answers.append(solver.solve(ev.volume_gradient))
+    for kind in (Pardiso, SuperLU):
+        solver = kind(equations.pattern.indptr, equations.pattern.indices)
+        solver.factorise(ev.tangent)
+        assert solver.negative == 0
+        answers.append(solver.solve(ev.volume_gradient))
     scale = np.abs(answers[0]).max()
-    for answer in answers[1:]:
-        assert np.abs(answer - answers[0]).max() < 1e-8 * scale
+    assert np.abs(answers[1] - answers[0]).max() < 1e-8 * scale
 
 
-@pytest.mark.parametrize("name", sorted(BACKENDS))
-def test_indefinite_matrices_are_told_and_counted(name: str) -> None:
+@pytest.fixture(scope="module")
+def tangent(problem: Problem, equations: Equilibrium) -> Array:
+    values = equations.evaluate(problem.nodes, 0.0, tangent=True).tangent
+    assert values is not None
+    return values
+
+
+def energy_error(matrix: csr_matrix, found: Array, right: Array) -> float:
+    error = found - right
+    return float(np.sqrt((error @ matrix @ error) / (right @ matrix @ right)))
+
+
+@needs_mkl
+def test_single_precision_is_mended_where_it_is_wrong(
+    equations: Equilibrium, tangent: Array
+) -> None:
+    """The tip moves by bending of the whole strip: the softest mode there is."""
+    pattern, matrix = equations.pattern, full(equations, tangent)
+    exact = Pardiso(pattern.indptr, pattern.indices)
+    deflated = Deflated(pattern.indptr, pattern.indices)
+    exact.factorise(tangent)
+    deflated.factorise(tangent)
+    rhs = np.random.default_rng(3).standard_normal((equations.unknowns, 3))
+    right, found = exact.solve(rhs), deflated.solve(rhs)
+    for column in range(3):
+        error = energy_error(matrix, found[:, column], right[:, column])
+        assert error < 5e-3
+        # Balanced against the bare factorisation in single precision.
+        bare = Pardiso(pattern.indptr, pattern.indices, dtype=np.float32)
+        scale = matrix.diagonal() ** -0.5
+        rows = np.repeat(np.arange(len(scale)), np.diff(pattern.indptr))
+        bare.factorise(tangent * scale[rows] * scale[pattern.indices])
+        plain = scale * bare.solve(scale * rhs[:, column])
+        assert energy_error(matrix, plain, right[:, column]) > 5 * error
+    one = deflated.solve(rhs[:, 0])
+    assert one.shape == rhs[:, 0].shape
+    assert np.allclose(one, found[:, 0], rtol=1e-3, atol=1e-4 * np.abs(one).max())
+    # Conjugate gradients need a symmetric operator.
+    a, b = rhs[:, 1] @ found[:, 2], rhs[:, 2] @ found[:, 1]
+    size = np.linalg.norm(rhs[:, 1]) * np.linalg.norm(found[:, 2])
+    assert abs(a - b) < 1e-5 * size
+
+
+@needs_mkl
+@pytest.mark.parametrize("wanted", [1, 2, 7])
+def test_negative_eigenvalues_are_counted_in_single_precision(
+    equations: Equilibrium, tangent: Array, wanted: int
+) -> None:
+    """Soft ones, which are deflated, and others, which are not."""
+    pattern = equations.pattern
+    scale = full(equations, tangent).diagonal() ** -0.5
+    rows = np.repeat(np.arange(len(scale)), np.diff(pattern.indptr))
+    scaled = tangent * scale[rows] * scale[pattern.indices]
+    matrix = full(equations, scaled)
+    lowest = np.sort(eigsh(matrix, 8, sigma=0.0, return_eigenvectors=False))
+    shifted = scaled.copy()
+    shifted[pattern.indptr[:-1]] -= lowest[wanted - 1 : wanted + 1].mean()
+    counts = []
+    for kind in (Pardiso, Deflated):
+        solver = kind(pattern.indptr, pattern.indices)
+        solver.factorise(shifted)
+        counts.append(solver.negative)
+    assert counts == [wanted, wanted]
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_indefinite_matrices_are_counted(name: str) -> None:
     if name == "pardiso" and mkl_library() is None:
         pytest.skip("no MKL wheel on this machine")
     matrix = np.array([[2.0, 1.0, 0.0], [1.0, -3.0, 1.0], [0.0, 1.0, 2.0]])
     upper = csr_matrix(np.triu(matrix))
     data, indptr, indices = upper.data, upper.indptr, upper.indices
-    with pytest.raises(NotDefinite):
-        BACKENDS[name](indptr, indices, True).factorise(data)
-    solver = BACKENDS[name](indptr, indices, False)
+    solver = make_solver(name, indptr, indices)
     solver.factorise(data)
     assert solver.negative == 1
     rhs = np.array([1.0, 2.0, 3.0])
     assert np.allclose(matrix @ solver.solve(rhs), rhs)
     both = solver.solve(np.stack([rhs, 2 * rhs], axis=1))
     assert np.allclose(both[:, 1], 2 * both[:, 0])
+
+
+@needs_mkl
+@pytest.mark.parametrize("size", [100, 200, 2000])
+def test_single_precision_is_left_where_too_many_modes_are_soft(size: int) -> None:
+    """A clamped beam of finite differences: its eigenvalues grow as k^4 / size^4."""
+    second = diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(size, size))
+    matrix = csr_matrix(second @ second)
+    upper = csr_matrix(triu(matrix))
+    upper.sort_indices()
+    rhs = np.random.default_rng(0).standard_normal(size)
+    answers = []
+    for kind in (Pardiso, Deflated):
+        solver = kind(upper.indptr, upper.indices)
+        solver.factorise(upper.data)
+        assert solver.negative == 0
+        answers.append(solver.solve(rhs))
+    assert energy_error(matrix, answers[1], answers[0]) < 1e-2
+    assert np.array_equal(*answers) == (size == 2000)

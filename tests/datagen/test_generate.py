@@ -18,7 +18,7 @@ from datagen.device import DESIGN_SPACE
 from datagen.errors import EffectError, FileError, GenerationError, InputError
 from datagen.generate import Progress, generate, sampled_space
 from datagen.model import GENERATOR_VERSION, Model
-from datagen.worker import Task
+from datagen.worker import Row, Task
 
 from . import fake_solver
 from .fake_solver import VERSION, solve_fake, solve_slowly
@@ -180,6 +180,60 @@ def test_only_a_few_rows_are_in_flight(tmp_path: Path) -> None:
         threads.flying = 1  # the first report comes before any row
         make(tmp_path / "a.h5", 30, executor=threads, workers=2, progress=landed)
     assert 2 <= threads.most <= 4
+
+
+def test_a_hypercube_is_solved_in_parts(tmp_path: Path) -> None:
+    whole = make(tmp_path / "whole.h5", sensitivities=5)
+    part = make(tmp_path / "part.h5", first=7, sensitivities=5)
+    assert (len(part), part.hypercube, whole.hypercube) == (7, 12, 0)
+    assert Dataset.read(tmp_path / "part.h5").digest() == part.digest()
+    assert_array_equal(part.inputs, whole.inputs[:7])
+    solved = []
+
+    def solve(task: Task) -> Row:
+        solved.append(task.row)
+        return solve_fake(task)
+
+    extended = make(
+        tmp_path / "again.h5",
+        extend=tmp_path / "part.h5",
+        sensitivities=5,
+        solve=solve,
+    )
+    assert sorted(solved) == [7, 8, 9, 10, 11]
+    assert extended.digest() == whole.digest()
+    more = make(
+        tmp_path / "more.h5", extend=tmp_path / "part.h5", first=9, sensitivities=5
+    )
+    assert (len(more), more.hypercube) == (9, 12)
+    assert more.subset(range(7)).digest() == part.subset(range(7)).digest()
+    # The finished part answers the same command again, and no other one.
+    again = make(tmp_path / "part.h5", first=7, sensitivities=5, resume=True)
+    assert again.digest() == part.digest()
+    with pytest.raises(InputError, match="designs: 8 is not allowed; allowed: 7"):
+        make(tmp_path / "part.h5", first=8, sensitivities=5, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"seed": 4}, "seed: 4 is not allowed; allowed: 3, as .* was begun with"),
+        ({"count": 13}, "extend: .*7 of 12 designs.*the first of 13 designs"),
+        ({"first": 6}, "extend: .*7 of 12 designs.* 6 at most"),
+        ({"version": "other"}, "generator_version: 'other' is not"),
+        ({"sensitivities": 3}, "sensitivities: 3 is not allowed; allowed: 0"),
+        ({"max_pressure": 1e5}, "max_pressure: 100000 Pa"),
+        ({"first": 13}, "first: 13 is not allowed"),
+        ({"sensitivities": 9, "first": 8}, "sensitivities: 9 is not allowed"),
+    ],
+)
+def test_other_rows_are_not_taken_over(
+    tmp_path: Path, options: dict[str, Any], told: str
+) -> None:
+    make(tmp_path / "part.h5", first=7)
+    with pytest.raises(InputError, match=told):
+        make(tmp_path / "a.h5", extend=tmp_path / "part.h5", **options)
+    assert alone(tmp_path / "part.h5")
 
 
 # What a run refuses.
