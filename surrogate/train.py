@@ -28,6 +28,7 @@ from .features import (
 )
 from .limit import SETTINGS as LIMIT_SETTINGS
 from .limit import fit_limit
+from .neighbours import Neighbours, neighbours
 from .network import FitSettings, Progress, Rows, fit, one_thread
 from .split import folds, usable
 from .split import held_out as is_held_out
@@ -128,8 +129,13 @@ def train(
         # Designs are shown with the limit pressure that members predict who had not
         # seen them: at prediction time there is nothing better.
         unseen = limit(views[0].prepared, unseen_by).pressure
+        views = [replace(view, limit=unseen) for view in views]
+        for beside in neighbours(data, seed + 3):
+            more = _views(data, beside)
+            there = limit(more[0].prepared, unseen_by).pressure
+            views += [replace(view, limit=there) for view in more]
         expansion, response_report = _fit_response(
-            data, views, unseen, held_out, seed + 2, settings, progress
+            data, views, held_out, seed + 2, settings, progress
         )
     calibration, disagreement = _calibrate(
         data, expansion, views[0].prepared, unseen, unseen_by
@@ -163,27 +169,41 @@ def train(
 
 @dataclass(frozen=True)
 class _View:
-    """The same designs as they are, or turned over.
+    """The same designs as they are, turned over, or a little changed.
 
     Parameters
     ----------
     prepared : Prepared
     values : (n, s, m) array, SI
+    known : (n, s) bool array
+        Where there are values to learn.
+    limit : (n,) array, Pa
+        Limit pressures that the networks are shown.
     """
 
     prepared: Prepared
     values: Array
+    known: Array
+    limit: Array
 
 
-def _views(data: Dataset) -> list[_View]:
-    """The designs and, where nothing else tells up from down, their mirror images."""
-    columns = columns_of(data.variables, data.inputs)
-    views = [_View(prepare(columns, data.space), data.values)]
+def _views(data: Dataset, beside: Neighbours | None = None) -> list[_View]:
+    """The designs, or their neighbours, without limit pressures.
+
+    And, where nothing else tells up from down, their mirror images.
+    """
+    if beside is None:
+        beside = Neighbours(data.inputs, data.values, data.status == 0)
+    columns = columns_of(data.variables, beside.inputs)
+    nothing = np.full(len(data), np.nan)
+    prepared, values = prepare(columns, data.space), beside.values
+    views = [_View(prepared, values, beside.known, nothing)]
     if not data.effects:
         places = [data.outputs.index(TURNED_OVER[name][0]) for name in data.outputs]
         signs = np.array([TURNED_OVER[name][1] for name in data.outputs])
         mirrored = prepare(turned_over(columns), data.space)
-        views.append(_View(mirrored, signs * data.values[..., places]))
+        turned = signs * values[..., places]
+        views.append(_View(mirrored, turned, beside.known, nothing))
     return views
 
 
@@ -215,31 +235,29 @@ def path_scale(values: Array, terms: Array, owner: Array) -> Array:
 def _fit_response(
     data: Dataset,
     views: list[_View],
-    limit: Array,
     held_out: Array,
     seed: int,
     settings: TrainSettings,
     progress: Progress | None,
 ) -> tuple[Expansion, dict[str, Any]]:
-    """Fit the networks for the outputs on the designs and their mirror images."""
+    """Fit the networks for the outputs on all views of the designs."""
     effects = bool(data.effects)
     owner, positive = term_owners(effects), positive_terms(effects)
-    converged = data.status == 0
-    pressure = np.where(converged, data.pressure, 0.0)
-    inputs = [features(view.prepared, pressure, limit) for view in views]
-    known = [np.where(converged[..., None], view.values, 0.0) for view in views]
+    pressure = np.where(data.status == 0, data.pressure, 0.0)
+    inputs = [features(view.prepared, pressure, view.limit) for view in views]
+    known = [np.where(view.known[..., None], view.values, 0.0) for view in views]
     scales = [
-        path_scale(values, own.terms, owner)
-        for values, own in zip(known, inputs, strict=True)
+        path_scale(values, np.where(view.known[..., None], own.terms, 0.0), owner)
+        for view, values, own in zip(views, known, inputs, strict=True)
     ]
     # The views of a design stand one after another: together they are one design.
-    chosen = np.stack([converged] * len(views), axis=1)
+    chosen = np.stack([view.known for view in views], axis=1)
     place = np.nonzero(chosen)[:2]
     scale = np.stack(scales, axis=1)[place]
     target = np.stack(known, axis=1)[chosen] / scale
     terms = np.stack([own.terms for own in inputs], axis=1)[chosen] / scale[:, owner]
     point = np.stack([own.point for own in inputs], axis=1)[chosen]
-    count = len(views) * converged.sum(axis=1)
+    count = chosen.sum(axis=(1, 2))
     return fit_terms(
         point,
         terms,
