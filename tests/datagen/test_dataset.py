@@ -365,7 +365,7 @@ def spoil(path: Path, change: str) -> None:
         ("empty", "not an HDF5 file"),
         ("text", "not an HDF5 file"),
         ("other HDF5", "an HDF5 file, but not a pba-dataset"),
-        ("newer", "schema version 4; this program reads 1 to 3"),
+        ("newer", "schema version 5; this program reads 1 to 4"),
         ("rows", "response has 7 rows, row_count says 8"),
         ("no variable", "damaged or incomplete:.*message"),
         ("no attribute", "incomplete: it has no attribute seed"),
