@@ -51,7 +51,7 @@ whole path that maximum is so small that it would drown every other path.
 RIDGE = 1e-3
 """Of the constant weights: enough against terms that say the same."""
 
-RESPONSE_SETTINGS = FitSettings()
+RESPONSE_SETTINGS = FitSettings(steps=4000, decay=0.1)
 
 CHUNK = 64
 """Designs evaluated at a time, to bound memory."""

@@ -32,7 +32,8 @@ def test_dataset_is_of_a_known_generator(data: Dataset, level: str) -> None:
     mesh_level(level)
     assert data.space == DESIGN_SPACE
     assert len(data) >= 300
-    assert np.array_equal(data.inputs, DESIGN_SPACE.sample(len(data), data.seed))
+    sampled = DESIGN_SPACE.sample(data.hypercube or len(data), data.seed)
+    assert np.array_equal(data.inputs, sampled[: len(data)])
 
 
 def test_nearly_every_path_went_as_far_as_it_can(data: Dataset) -> None:
@@ -64,6 +65,22 @@ def test_rows_are_found_again(data: Dataset, level: str, seed: int) -> None:
     scale = np.nanmax(np.abs(data.values[row]), axis=0)
     error = np.abs(again.values[0] - data.values[row, chosen]) / scale
     assert error.max() < 1e-6
+
+
+def test_derivatives_are_found_again(data: Dataset, level: str) -> None:
+    """Of a differentiated row, at a third of its way."""
+    small = [r for r in range(data.sensitivities) if data.design(r).divisions_x <= 2]
+    row = int(np.random.default_rng(11).choice(small))
+    step = data.steps(row) // 3
+    with threadpool_limits(1):
+        again = Model(level=level)(
+            [data.design(row)], [Path(data.pressure[row, [step]])], sensitivities=True
+        )
+    assert again.parameters == data.parameters
+    assert again.jacobian is not None and data.jacobian is not None
+    scale = np.nanmax(np.abs(data.jacobian[row]), axis=0)
+    error = np.abs(again.jacobian[0, 0] - data.jacobian[row, step])
+    assert (error <= 1e-3 * scale).all()
 
 
 def test_model_was_trained_on_this_dataset(data: Dataset) -> None:
