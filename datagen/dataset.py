@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .atomic import reason, replacing
-from .device import MAX_PRESSURE, Design
+from .device import LONG_NAMES, MAX_PRESSURE, Design
 from .errors import FileError, InputError
 from .response import OUTPUTS, PATH_STATUS
 from .space import Parameter, Space
@@ -35,22 +35,6 @@ SCHEMA_VERSION = 4
 2 brought derivatives, 3 pairs, 4 parts of a hypercube; what has none of them is still
 written as version 1, which is the same then.
 """
-
-LONG_NAMES = {
-    "balloon_length": "length of all balloons together, walls excluded",
-    "divisions_x": "number of balloons along the strip",
-    "divisions_y": "number of balloons across the strip",
-    "wall": "thickness of the wall between neighbouring balloons",
-    "balloon_start": "distance from the clamp to the first balloon",
-    "tip_margin": "distance from the last balloon to the tip",
-    "balloon_width": "width of all balloons together, walls excluded",
-    "rim": "distance from the balloons to the side of the strip",
-    "cavity_height": "height of the undeformed cavity",
-    "upper_thickness": "thickness of the upper membrane",
-    "lower_thickness": "thickness of the lower membrane",
-    "upper_modulus": "Young's modulus of the upper layer",
-    "lower_modulus": "Young's modulus of the lower layer and of the spacer",
-}
 
 ATTRIBUTES = (
     *("schema_version", "generator_version", "row_count", "seed", "mesh_level"),
@@ -253,9 +237,7 @@ class Dataset:
             limit_pressure=float(self.limit_pressure[row]),
             message=self.message[row],
             parameters=self.parameters if slopes else (),
-            jacobian=self.jacobian[row, :steps]
-            if slopes and self.jacobian is not None
-            else None,
+            jacobian=self.jacobian[row, :steps] if slopes else None,  # type: ignore[index]
         )
 
     def subset(self, rows: Sequence[int] | Array) -> Dataset:

@@ -62,6 +62,23 @@ DESIGN_SPACE = Space(
 )
 """The contract's default design space; length and width follow from it."""
 
+LONG_NAMES = {
+    "balloon_length": "length of all balloons together, walls excluded",
+    "divisions_x": "number of balloons along the strip",
+    "divisions_y": "number of balloons across the strip",
+    "wall": "thickness of the wall between neighbouring balloons",
+    "balloon_start": "distance from the clamp to the first balloon",
+    "tip_margin": "distance from the last balloon to the tip",
+    "balloon_width": "width of all balloons together, walls excluded",
+    "rim": "distance from the balloons to the side of the strip",
+    "cavity_height": "height of the undeformed cavity",
+    "upper_thickness": "thickness of the upper membrane",
+    "lower_thickness": "thickness of the lower membrane",
+    "upper_modulus": "Young's modulus of the upper layer",
+    "lower_modulus": "Young's modulus of the lower layer and of the spacer",
+}
+"""Of the variables of the design space."""
+
 MAX_PRESSURE = 150e3
 """Pa.  Each path of a dataset runs to here or to its limit pressure."""
 
