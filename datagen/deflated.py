@@ -1,13 +1,13 @@
 """A factorisation in single precision that is right where single precision is not.
 
-Half the time of one in double precision.  A slender strip's stiffness spans ten orders
-of magnitude, single precision resolves seven: the factorised matrix B differs from A by
-rounding, and B^-1 is wrong along the few softest modes (bending of the whole strip),
-where that difference is not small beside A, and right to a thousandth elsewhere.  The
-soft modes are found by one step of iteration with the error I - B^-1 A on a few random
-vectors, and are solved for in double precision; what is left goes to B: the balanced
-deflation of Mandel (1993), in the form of Nabben and Vuik (2004), as a symmetric
-operator.
+It takes less time than one in double precision.  A slender strip's stiffness spans ten
+orders of magnitude, single precision resolves seven: the factorised matrix B differs
+from A by rounding, and B^-1 is wrong along the few softest modes (bending of the whole
+strip), where that difference is not small beside A, and right to a thousandth
+elsewhere.  The soft modes are found by one step of iteration with the error I - B^-1 A
+on a few random vectors, and are solved for in double precision; what is left goes to B:
+the balanced deflation of Mandel (1993), in the form of Nabben and Vuik (2004), as a
+symmetric operator.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .linear import Pardiso
+from .pardiso import Pardiso
 
 Array = np.ndarray
 
@@ -82,10 +82,8 @@ class Deflated:
 
     Parameters
     ----------
-    indptr, indices : arrays of int
-        Pattern of the upper triangle, sorted, every diagonal entry present.
-    threads : int
-        Of MKL, in this thread.
+    indptr, indices, threads
+        As of `Pardiso`.
     """
 
     def __init__(self, indptr: Array, indices: Array, threads: int = 1) -> None:

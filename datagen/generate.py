@@ -118,8 +118,8 @@ def generate(
     sensitivities : int
         How many rows, from the first, are differentiated, too.
     first : int, optional
-        Solve the first designs alone, for now: any part of a hypercube is a random
-        sample, and the whole of it an even one.
+        Solve the first designs alone, which a later run may `extend`: any part of a
+        hypercube is a random sample, and the whole of it an even one.
     extend : path, optional
         A dataset of the first designs of the same hypercube, whose rows are taken over.
     progress : callable, optional

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.dataset import Dataset
-from datagen.device import DESIGN_SPACE, Design
+from datagen.device import Design
+from datagen.worker import split_inputs
 
 Array = np.ndarray
 
@@ -74,7 +75,8 @@ def _one(data: Dataset, jacobian: Array, rng: np.random.Generator) -> Neighbours
     rows = np.flatnonzero(np.isfinite(jacobian).any(axis=(1, 2, 3)))
     for row in rows.tolist():
         inputs[row] += step[row]
-        here, there = data.design(row), _design(data, inputs[row])
+        beside, _ = split_inputs(data.variables, inputs[row], data.effects)
+        here, there = data.design(row), Design.from_sample(beside)
         for k, name in enumerate(data.parameters):
             steps[row, k] = (
                 step[row, data.variables.index(name)]
@@ -85,8 +87,3 @@ def _one(data: Dataset, jacobian: Array, rng: np.random.Generator) -> Neighbours
     below = ~(data.pressure > NEAR_LIMIT * data.limit_pressure[:, None])
     known = (data.status == 0) & np.isfinite(moved).all(axis=2) & below
     return Neighbours(inputs, data.values + moved, known)
-
-
-def _design(data: Dataset, inputs: Array) -> Design:
-    values = dict(zip(data.variables, inputs.tolist(), strict=True))
-    return Design.from_sample({name: values[name] for name in DESIGN_SPACE.names})

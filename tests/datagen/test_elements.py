@@ -11,8 +11,9 @@ from datagen.deflated import Deflated
 from datagen.device import named_device
 from datagen.elements import element_data
 from datagen.equilibrium import Equilibrium, InvertedElement, Workspace
-from datagen.linear import BACKENDS, Pardiso, SuperLU, make_solver, mkl_library
+from datagen.linear import BACKENDS, SuperLU, make_solver
 from datagen.mesh import mesh_level
+from datagen.pardiso import Pardiso, mkl_library
 from datagen.problem import Problem, baseline
 
 Array = np.ndarray

@@ -12,9 +12,9 @@ from datagen.control import Options
 from datagen.device import Design, named_device
 from datagen.equilibrium import Workspace
 from datagen.errors import EffectError, InputError
-from datagen.linear import mkl_library
 from datagen.mesh import MeshLevel, mesh_level
 from datagen.model import Model, stack
+from datagen.pardiso import mkl_library
 from datagen.problem import baseline
 from datagen.response import CONVERGED, OUTPUT_NAMES, Path
 from datagen.solver import solve
