@@ -37,10 +37,54 @@ Array = np.ndarray
 TOLERANCE, ITERATIONS = 2e-5, 12
 """Of the adjoints, see `solve_tangent`."""
 
+GOAL, ROUGH, CONTRACTION = 1e-4, 1e-3, 0.01
+"""See `Goal`."""
+
 SHAPES = tuple(name for name in OUTPUT_NAMES if name != "cavity_volume")
 """Outputs that the deformed nodes alone decide."""
 
 VOLUME = OUTPUT_NAMES.index("cavity_volume")
+SHAPE_ROWS = [row for row in range(len(OUTPUT_NAMES)) if row != VOLUME]
+
+
+class Goal:
+    """When adjoints are as good as the derivatives need them.
+
+    An adjoint that is within `ROUGH` need not be better when what will be left changes
+    no derivative by more than `GOAL` of its largest amount on the path so far.  What is
+    left is taken to be to the last change as that was to the change before it,
+    `CONTRACTION` at least.
+
+    Parameters
+    ----------
+    residuals : (unknowns, k) array
+        Rates of the residual along the parameters.
+    load, rise : (unknowns,) arrays
+        dV/dx, and what moves by it per work of it: along it adjoints will be set right.
+    partial, largest : (c, k) arrays, SI
+        Derivatives without the adjoints' share, and their largest amounts so far.
+    """
+
+    def __init__(
+        self, residuals: Array, load: Array, rise: Array, partial: Array, largest: Array
+    ) -> None:
+        self._residuals, self._load = residuals, load
+        self._by_rise = rise @ residuals
+        self._partial, self._largest = partial, largest
+        self._before = np.full(len(partial), np.nan)
+
+    def __call__(self, adjoints: Array, aim: Array, columns: Array) -> Array:
+        """`enough` of `solve_tangent`."""
+        rough = np.abs(aim).max(axis=0) <= ROUGH * np.abs(adjoints).max(axis=0)
+        change = aim.T @ self._residuals - np.outer(self._load @ aim, self._by_rise)
+        now = np.abs(self._partial[columns] - adjoints.T @ self._residuals)
+        scale = np.fmax(self._largest[columns], now)
+        size = (np.abs(change) / np.where(scale > 0, scale, 1.0)).max(axis=1)
+        # No change before: NaN, and nothing is known of what will be left.
+        ratio = np.maximum(size / self._before[columns], CONTRACTION)
+        self._before[columns] = size
+        good: Array = rough & (size * np.nan_to_num(ratio, nan=1.0) <= GOAL)
+        return good
 
 
 class Adjoint:
@@ -100,8 +144,12 @@ class Adjoint:
             Instruments(one.problem) if self._reads_otherwise(k) else None
             for k, one in enumerate(directions)
         ]
-        self._first_volume = [one.volume(one.problem.nodes) for one in self._ahead]
+        self._first_volume = np.array(
+            [one.volume(one.problem.nodes) for one in self._ahead]
+        )
         self._known: list[tuple[float, Array]] = []  # adjoints at the last points
+        # Largest amounts of the derivatives so far, (m, k).
+        self._largest = np.zeros((len(OUTPUT_NAMES), len(self.directions)))
 
     def _reads_otherwise(self, k: int) -> bool:
         """Whether the instruments may see something else along direction k."""
@@ -149,34 +197,44 @@ class Adjoint:
         (m, k) array, SI; outputs by parameters.  None where the corrector's solver is
         not near enough.
         """
-        x, linear = point.x, self._corrector.linearised
+        x, steps = point.x, np.array([one.step for one in self.directions])
         drawn = self._drawn(x)
         residuals, dilated = self._residuals(point, dt, drawn)
         change = point.volume - first_volume
         if self._instruments.flat(x):
             return self._directly(x, change, drawn, residuals)
         gradients = self._instruments.gradients(x)
-        adjoints, found = self._adjoints(point, gradients, where)
+        direct = self._partial(point, change, gradients, drawn)
+        direct[VOLUME] += 2 * (dilated - (self._first_volume - first_volume) / steps)
+        adjoints, found = self._adjoints(point, gradients, residuals, direct, where)
         if not (found.all() or last):
             return None
+        jacobian: Array = direct - adjoints.T @ residuals
+        jacobian[~found] = np.nan
+        self._largest = np.fmax(self._largest, np.abs(jacobian))
+        return jacobian
+
+    def _partial(
+        self,
+        point: Point,
+        change: float,
+        gradients: dict[str, Array],
+        drawn: dict[int, tuple[Array, Array]],
+    ) -> Array:
+        """Derivatives (m, k) while the body is drawn along and nothing gives way."""
+        x = point.x
+        found = np.zeros((len(OUTPUT_NAMES), len(self.directions)))
         by_nodes = [gradients[name] for name in SHAPES]
-        by_nodes.insert(VOLUME, 2 * linear.known.gradient)
-        jacobian: Array = -adjoints.T @ residuals
+        by_nodes.insert(VOLUME, 2 * self._corrector.linearised.known.gradient)
+        plain = self._instruments.read(x, change)
         for k, one in enumerate(self.directions):
-            x_ahead = x
             if k in drawn:
                 dx, _ = drawn[k]
-                jacobian[:, k] += [np.vdot(gradient, dx) for gradient in by_nodes]
-                x_ahead = x + one.step * dx
+                found[:, k] = [np.vdot(gradient, dx) for gradient in by_nodes]
             if (instruments := self._read_ahead[k]) is not None:
                 # Of the same nodes: what the instruments themselves see otherwise.
-                plain = self._instruments.read(x_ahead, change)
-                more = instruments.read(x_ahead, change) - plain
-                jacobian[:, k] += more / one.step
-            first = (self._first_volume[k] - first_volume) / one.step
-            jacobian[VOLUME, k] += 2 * (dilated[k] - first)
-        jacobian[~found] = np.nan
-        return jacobian
+                found[:, k] += (instruments.read(x, change) - plain) / one.step
+        return found
 
     def _residuals(
         self, point: Point, dt: float, drawn: dict[int, tuple[Array, Array]]
@@ -264,9 +322,16 @@ class Adjoint:
         return drawn
 
     def _adjoints(
-        self, point: Point, gradients: dict[str, Array], where: float
+        self,
+        point: Point,
+        gradients: dict[str, Array],
+        residuals: Array,
+        direct: Array,
+        where: float,
     ) -> tuple[Array, Array]:
         """Adjoints (unknowns, m) of the outputs, and which of them were found (m,).
+
+        As good as the derivatives need them, `direct` - l . `residuals`.
 
         Derivatives by moduli, pressure or temperature are small differences of what the
         pressure does.  The path's own direction u, K u = dV/dx, is known: each adjoint
@@ -282,6 +347,9 @@ class Adjoint:
             right: Array = adjoints + rise[:, None] * lack
             return right
 
+        goal = Goal(
+            residuals, load, rise, direct[SHAPE_ROWS], self._largest[SHAPE_ROWS]
+        )
         wanted = np.stack([here.restrict(gradients[name]) for name in SHAPES], axis=1)
         again = bool(self._known) and self._known[-1][0] == where
         guess = None
@@ -295,6 +363,7 @@ class Adjoint:
             TOLERANCE,
             ITERATIONS,
             guess,
+            goal,
         )
         shapes = along(shapes)
         if found.all():

@@ -86,7 +86,9 @@ class PathFollower:
                 problem, directions, self.workspace, self.corrector
             )
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
-        self.point = self._differentiated(self._start(), REST)
+        self.point = self._start()
+        if isinstance(self._sensitivity, Sensitivity):
+            self.differentiate()  # its guesses start from here
         self._remember(self.point, REST)
         first = self.options.first_step * self._thin
         self._step = first / (largest(self.point.direction) or 1.0)
@@ -103,6 +105,11 @@ class PathFollower:
         """The point of the path next to a prediction, see `Corrector.correct`."""
         found = self.corrector.correct(x, pressure, dt, plane, expected)
         return self.corrector.point(*found, dt, self.point)
+
+    def differentiate(self) -> None:
+        """Let the point at rest, which few paths keep, have its derivatives."""
+        if self.point.jacobian is None:
+            self.point = self._differentiated(self.point, REST)
 
     def _differentiated(self, point: Point, dt: float) -> Point:
         """The point with derivatives, NaN where they grow without bound.

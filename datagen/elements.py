@@ -540,6 +540,46 @@ def cavity(x: Array, faces: Array, tensor: Array) -> tuple[float, Array]:
 
 
 @njit(cache=True, fastmath=True)
+def cavity_rates(x: Array, dx: Array, faces: Array, tensor: Array) -> Array:
+    """Derivatives of the volume's gradient along movements of the nodes.
+
+    Parameters
+    ----------
+    x : (n, 3) array, m
+    dx : (c, n, 3) array
+    faces, tensor
+        As in `cavity`.
+
+    Returns
+    -------
+    (c, n, 3) array, m times the unit of `dx`
+    """
+    out = np.zeros(dx.shape)
+    m = np.empty((9, 3))
+    for face in range(faces.shape[0]):
+        for a in range(9):
+            for b in range(9):
+                m[b, 0] = m[b, 1] = m[b, 2] = 0.0
+                for c in range(9):
+                    t, node = tensor[a, b, c], faces[face, c]
+                    m[b, 0] += t * x[node, 0]
+                    m[b, 1] += t * x[node, 1]
+                    m[b, 2] += t * x[node, 2]
+            for k in range(dx.shape[0]):
+                v0 = v1 = v2 = 0.0
+                for b in range(9):
+                    d = dx[k, faces[face, b]]
+                    v0 += d[1] * m[b, 2] - d[2] * m[b, 1]
+                    v1 += d[2] * m[b, 0] - d[0] * m[b, 2]
+                    v2 += d[0] * m[b, 1] - d[1] * m[b, 0]
+                node = faces[face, a]
+                out[k, node, 0] += 6 * v0
+                out[k, node, 1] += 6 * v1
+                out[k, node, 2] += 6 * v2
+    return out
+
+
+@njit(cache=True, fastmath=True)
 def add_load_stiffness(
     data: Array, position: Array, x: Array, faces: Array, tensor: Array, pressure: float
 ) -> None:

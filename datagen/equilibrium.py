@@ -106,7 +106,7 @@ class Pattern:
     """Sparse upper triangle of a topology, and where each entry goes.
 
     number : (n, 3) array of int; unknown of each displacement, -1 where held.
-    free : (k, 2) array; node and direction of each unknown.
+    free : (k,) array of int; place of each unknown among all 3 n displacements.
     indptr, indices : compressed rows of the upper triangle.
     of_cells, of_faces : positions, see `elements.add_stiffness`.
     """
@@ -132,7 +132,7 @@ def make_pattern(cells: Array, faces: Array, fixed: Array) -> Pattern:
     rows, columns = _triangle(indptr, indices, number, int(number.max()) + 1)
     return Pattern(
         number=number,
-        free=np.argwhere(~fixed),
+        free=np.flatnonzero(~fixed),
         indptr=rows,
         indices=columns,
         of_cells=_positions(cells, number, rows, columns),
@@ -319,13 +319,13 @@ class Equilibrium:
 
     def restrict(self, field: Array) -> Array:
         """Unknowns (k,) of a nodal field (n, 3)."""
-        unknowns: Array = field[self.pattern.free[:, 0], self.pattern.free[:, 1]]
+        unknowns: Array = field.ravel()[self.pattern.free]
         return unknowns
 
     def extend(self, unknowns: Array) -> Array:
         """Nodal field (n, 3) of unknowns (k,), zero where held."""
         field = np.zeros(self.problem.nodes.shape)
-        field[self.pattern.free[:, 0], self.pattern.free[:, 1]] = unknowns
+        field.ravel()[self.pattern.free] = unknowns
         return field
 
     def respond(
@@ -477,10 +477,11 @@ class Equilibrium:
         """Faces (f, 9) of the elastic supports, and their matrices (f, 27, 27), N/m."""
         return [(faces, matrices) for faces, matrices, _ in self._springs]
 
-    def faces_gradient(self, x: Array) -> Array:
-        """dV/dx (n, 3), m2, of the volume inside the cavity's faces."""
-        gradient: Array = el.cavity(x, self.problem.mesh.cavity_faces, self._tensor)[1]
-        return gradient
+    def faces_gradient_rates(self, x: Array, dx: Array) -> Array:
+        """Derivatives (c, n, 3) of dV/dx along dx (c, n, 3), V inside the faces."""
+        faces = self.problem.mesh.cavity_faces
+        rates: Array = el.cavity_rates(x, dx, faces, self._tensor)
+        return rates
 
     def volume(self, x: Array) -> float:
         """Volume of the cavities in the half model, m3."""

@@ -64,6 +64,7 @@ class Journey:
             return self._end(failure.status, f"{failure.detail}, held at {self._at()}")
         if held:
             if leg.whole:
+                follower.differentiate()
                 self.outcome.keep(leg.step, follower.point)
             return False
         follower.head_for(target)

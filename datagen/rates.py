@@ -82,34 +82,24 @@ class Linearised:
         """The tangent times vectors (k, c) of unknowns."""
         eq = self.equations
         fields = np.stack([eq.extend(vector) for vector in vectors.T])
-        forces = self._element_rates(fields, None)
+        rates = self._rates(fields, None)
         products = np.empty_like(vectors)
-        for c, (v, force) in enumerate(zip(fields, forces, strict=True)):
+        for c, (v, rate) in enumerate(zip(fields, rates, strict=True)):
             for faces, matrices in (*eq.spring_matrices(), *self._skins):
-                surfaces.add_matrix_force(force, v, faces, matrices)
-            products[:, c] = eq.restrict(force - self.pressure * self._load_rate(v))
+                surfaces.add_matrix_force(rate, v, faces, matrices)
+            products[:, c] = eq.restrict(rate)
         return products
 
     def moved(self, dx: Array, undeformed: Array) -> Array:
         """Rates (c, k) of the elements and the load along dx and dX (c, n, 3)."""
         eq = self.equations
-        forces = self._element_rates(dx, undeformed)
-        return np.stack(
-            [
-                eq.restrict(force - self.pressure * self._load_rate(v))
-                for v, force in zip(dx, forces, strict=True)
-            ]
-        )
+        return np.stack([eq.restrict(rate) for rate in self._rates(dx, undeformed)])
 
-    def _load_rate(self, dx: Array) -> Array:
-        """d(dV/dx) (n, 3), m2: exact for any size of step, as V is cubic."""
-        eq, size = self.equations, float(np.abs(dx).max())
-        if size == 0:
-            return np.zeros(dx.shape)
-        step = float(np.abs(self.x).max()) / size
-        ahead, behind = (eq.faces_gradient(self.x + s * dx) for s in (step, -step))
-        rate: Array = (ahead - behind) / (2 * step)
-        return rate
+    def _rates(self, dx: Array, undeformed: Array | None) -> Array:
+        """Rates (c, n, 3) of the nodal forces of elements and load."""
+        loads = self.equations.faces_gradient_rates(self.x, dx)
+        rates: Array = self._element_rates(dx, undeformed) - self.pressure * loads
+        return rates
 
     def _element_rates(self, dx: Array, undeformed: Array | None) -> Array:
         eq = self.equations
@@ -131,7 +121,7 @@ class Linearised:
         )
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def nodal_deformation(nodes: Array, x: Array, cells: Array, gradient: Array) -> Array:
     """Deformation gradient at the nodes, the mean of the elements around each.
 
@@ -149,24 +139,30 @@ def nodal_deformation(nodes: Array, x: Array, cells: Array, gradient: Array) -> 
     """
     out = np.zeros((nodes.shape[0], 3, 3))
     count = np.zeros(nodes.shape[0])
-    old, new, c = np.empty(9), np.empty(9), np.empty(9)
+    flat = el.flattened(gradient)
+    old, new = np.empty((3, 81)), np.empty((3, 81))
+    j, c = np.empty(9), np.empty(9)
     for e in range(cells.shape[0]):
+        old[:] = 0.0
+        new[:] = 0.0
+        for a in range(27):
+            node = cells[e, a]
+            for i in range(3):
+                before, after = nodes[node, i], x[node, i]
+                for k in range(81):
+                    old[i, k] += before * flat[a, k]
+                    new[i, k] += after * flat[a, k]
         for q in range(27):
-            old[:] = 0.0
-            new[:] = 0.0
-            for a in range(27):
-                node = cells[e, a]
-                for i in range(3):
-                    for k in range(3):
-                        old[3 * i + k] += nodes[node, i] * gradient[q, a, k]
-                        new[3 * i + k] += x[node, i] * gradient[q, a, k]
-            det = el.cofactor(old, c)
+            for i in range(3):
+                for k in range(3):
+                    j[3 * i + k] = old[i, 3 * q + k]
+            det = el.cofactor(j, c)
             node = cells[e, q]
             count[node] += 1
             for i in range(3):
-                for j in range(3):
+                for n in range(3):
                     for k in range(3):
-                        out[node, i, j] += new[3 * i + k] * c[3 * j + k] / det
+                        out[node, i, n] += new[i, 3 * q + k] * c[3 * n + k] / det
     return out / count.reshape(-1, 1, 1)
 
 
@@ -321,6 +317,13 @@ def _force_rates(
         for c in range(dx.shape[0]):
             m[:] = 0.0
             j[:] = 0.0
+            rests = True  # and has no part in it
+            for a in range(27):
+                node = cells[e, a]
+                for i in range(3):
+                    rests &= dx[c, node, i] == 0 and undeformed[c, node, i] == 0
+            if rests:
+                continue
             for a in range(27):
                 node = cells[e, a]
                 for i in range(3):

@@ -22,6 +22,7 @@ def solve_tangent(
     tolerance: float,
     iterations: int,
     guess: Array | None = None,
+    enough: Callable[[Array, Array, Array], Array] | None = None,
 ) -> tuple[Array, Array]:
     """Solve K u = r for several right-hand sides at once.
 
@@ -36,12 +37,15 @@ def solve_tangent(
         Of each column: the last preconditioned residual over the largest component.
     iterations : int
     guess : (k, c) array, optional
+    enough : callable, optional
+        Of columns u (k, j), what is about to be added to them and their numbers (j,):
+        which of them need not be better (j,), whatever the tolerance says.
 
     Returns
     -------
     u : (k, c) array
     found : (c,) array of bool
-        Which columns are within the tolerance.
+        Which columns are within the tolerance, or enough.
     """
     u = np.zeros_like(rhs) if guess is None else guess.copy()
     lack = rhs.copy() if guess is None else rhs - product(guess)
@@ -54,6 +58,8 @@ def solve_tangent(
         close = size <= tolerance * scale[left]
         if guess is None and not iteration:
             close = size == 0  # the first aim is all of the answer
+        elif enough is not None:
+            close |= enough(u[:, left], aim, left)
         u[:, left[close]] += aim[:, close]
         left, lack, aim = left[~close], lack[:, ~close], aim[:, ~close]
         last, before = last[:, ~close], before[~close]

@@ -7,6 +7,7 @@ import pytest
 from scipy.sparse import csr_matrix, diags, triu
 from scipy.sparse.linalg import eigsh
 
+from datagen import elements as el
 from datagen.deflated import Deflated
 from datagen.device import named_device
 from datagen.elements import element_data
@@ -82,6 +83,21 @@ def test_patch_of_distorted_elements_carries_any_uniform_stretch(
     nodal = np.abs(equations.extend(ev.residual))
     assert inner.sum() > 100
     assert nodal[inner].max() < 1e-10 * nodal.max()
+
+
+def test_rates_of_the_volume_gradient_are_its_derivatives(
+    problem: Problem, equations: Equilibrium
+) -> None:
+    """V is cubic, so central differences of its gradient are exact for any step."""
+    rng = np.random.default_rng(4)
+    x = problem.nodes + 1e-4 * rng.standard_normal(problem.nodes.shape)
+    moves = 1e-4 * rng.standard_normal((2, *x.shape))
+    faces, tensor = problem.mesh.cavity_faces, el.face_tensor()
+    rates = el.cavity_rates(x, moves, faces, tensor)
+    for rate, move in zip(rates, moves, strict=True):
+        ahead, behind = (el.cavity(x + s * move, faces, tensor)[1] for s in (1, -1))
+        wanted = (ahead - behind) / 2
+        assert np.abs(rate - wanted).max() < 1e-12 * np.abs(ahead).max()
 
 
 def test_rigid_motion_costs_nothing(problem: Problem, equations: Equilibrium) -> None:

@@ -60,6 +60,31 @@ def test_a_good_guess_spares_iterations(system: tuple[Array, Nearby, Array]) -> 
     assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
 
 
+def test_columns_end_where_they_are_said_to_be_enough(
+    system: tuple[Array, Nearby, Array],
+) -> None:
+    """What is added last is still added; the other columns go on to the tolerance."""
+    matrix, near, rhs = system
+    seen: list[int] = []
+
+    def enough(found: Array, aim: Array, columns: Array) -> Array:
+        assert found.shape == aim.shape == (30, len(columns))
+        seen.append(len(columns))
+        ended: Array = columns == 2
+        return ended
+
+    guess = np.zeros_like(rhs)
+    found, there = solve_tangent(
+        lambda v: matrix @ v, near, rhs, 1e-9, 40, guess, enough
+    )
+    assert there.all()
+    assert seen[:2] == [4, 3]
+    wanted = np.linalg.solve(matrix, rhs)
+    error = np.abs(found - wanted).max(axis=0) / np.abs(wanted).max(axis=0)
+    assert (error[[0, 1, 3]] < 1e-7).all()
+    assert 1e-3 < error[2] < 0.5
+
+
 def test_what_is_not_found_is_said(system: tuple[Array, Nearby, Array]) -> None:
     matrix, near, rhs = system
     _, there = solve_tangent(lambda v: matrix @ v, near, rhs, 1e-12, 1)
