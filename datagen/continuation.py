@@ -24,6 +24,8 @@ from .control import Counters, Options, Outcome, StepFailed
 from .corrector import Corrector
 from .equilibrium import Equilibrium, InvertedElement, Workspace
 from .journey import Journey
+from .mesh import StripMesh
+from .overlap import overlapping
 from .problem import Body, Problem
 from .response import OUTPUT_NAMES
 from .sensitivity import Direction, Sensitivity
@@ -32,6 +34,9 @@ Array = np.ndarray
 
 REST = 1e9
 """Time for which a body has rested before the path begins, s: some thirty years."""
+
+MEETING_STEPS = 8
+"""Halvings of a step in which neighbouring balloons have met."""
 
 
 class PathFollower:
@@ -68,6 +73,7 @@ class PathFollower:
         self.counters = Counters()
         self.limit: Point | None = None
         self.turned = False
+        self.self_contact: float | None = None  # pressure at which balloons met, Pa
         self._clock = self.due = 0.0  # time at the last point and at the target, s
         self._thin = problem.thin
         self._before: Point | None = None
@@ -364,6 +370,26 @@ class PathFollower:
                 break
             a, b = (best, b) if best.slope * a.slope > 0 else (a, best)
         return best
+
+    def watch(self) -> None:
+        """Note where neighbouring balloons have met on the way to the last point."""
+        mesh, here, before = self.problem.mesh, self.point, self._before
+        if self.self_contact is not None or not isinstance(mesh, StripMesh):
+            return
+        if not overlapping(mesh, here.x):
+            return
+        self.self_contact = here.pressure
+        if before is None:
+            return
+        chart = Chart(here, before, before.normal + here.normal)
+        apart, met = chart.measure(before.x), 0.0
+        for _ in range(MEETING_STEPS):
+            middle = (apart + met) / 2
+            x, pressure = chart.at(middle)
+            if overlapping(mesh, x):
+                met, self.self_contact = middle, pressure
+            else:
+                apart = middle
 
     def run(
         self,

@@ -90,6 +90,7 @@ class Journey:
     def _look(self, step: int, wanted: bool) -> bool:
         """Keep the new point where it is wanted; True where the path ends there."""
         follower, point, go_on = self.follower, self.follower.point, self.far_enough
+        follower.watch()
         if follower.limit is not None and follower.turned:
             if self.keep_all or go_on is not None:
                 self.outcome.keep(step, follower.limit)

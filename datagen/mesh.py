@@ -83,7 +83,7 @@ class MeshLevel:
 LEVELS: dict[str, MeshLevel] = {
     level.name: level
     for level in (
-        MeshLevel("draft", 4, 4, 3, 3, 2, 1, 1, 1, 1.0, 0.85, 1.0, 2.0),
+        MeshLevel("draft", 4, 4, 3, 2, 2, 1, 1, 1, 0.85, 0.6, 1.0, 2.0),
         MeshLevel("standard", 5, 4, 4, 3, 3, 1, 2, 1, 1.3, 0.9, 0.8, 2.0),
         MeshLevel("fine", 9, 6, 7, 4, 5, 2, 3, 2, 0.35, 0.35, 0.6, 0.35),
     )

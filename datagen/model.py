@@ -34,7 +34,7 @@ from .specimens import (
 
 Array = np.ndarray
 
-GENERATOR_VERSION = "4"
+GENERATOR_VERSION = "5"
 """Changes whenever the numbers that the model gives change."""
 
 
@@ -402,6 +402,11 @@ def stack(responses: Sequence[Response]) -> Response:
     limits = [
         r.limit_pressure_error for r in responses if r.limit_pressure_error is not None
     ]
+    met = [
+        r.self_contact_pressure
+        for r in responses
+        if r.self_contact_pressure is not None
+    ]
     info = {
         "unknowns": max(r.info.get("unknowns", 0) for r in responses),
         "seconds": sum(r.info.get("seconds", 0.0) for r in responses),
@@ -422,5 +427,6 @@ def stack(responses: Sequence[Response]) -> Response:
         jacobian=np.concatenate(slopes) if slopes else None,
         mesh_error=np.concatenate(errors) if errors else None,
         limit_pressure_error=np.concatenate(limits) if limits else None,
+        self_contact_pressure=np.concatenate(met) if met else None,
         info=info,
     )

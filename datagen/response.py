@@ -124,6 +124,9 @@ class Response:
         there is no value, and from a limit point on.
     limit_pressure_error : (n,) array, Pa, or None
         The same of the limit pressure; NaN where it was not met.
+    self_contact_pressure : (n,) array, Pa, or None
+        Where roofs or floors of neighbouring balloons first met, which nothing in the
+        model resists; NaN where they did not, None where nobody looked.
     """
 
     outputs: tuple[str, ...]
@@ -139,6 +142,7 @@ class Response:
     jacobian: Array | None = None
     mesh_error: Array | None = None
     limit_pressure_error: Array | None = None
+    self_contact_pressure: Array | None = None
 
     def __post_init__(self) -> None:
         n, s = self.pressure.shape

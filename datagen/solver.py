@@ -87,11 +87,13 @@ def solve(
         "seconds": time.perf_counter() - began,
         **asdict(follower.counters),
     }
-    limit = np.nan
+    limit = met = np.nan
     if follower.limit is not None:
         limit = gauge(problem, follower.limit.pressure)
+    if follower.self_contact is not None:
+        met = gauge(problem, follower.self_contact)
     rest = follower.first_volume
-    return _respond(problem, pressure, outcome, limit, rest, info, names)
+    return _respond(problem, pressure, outcome, limit, met, rest, info, names)
 
 
 def _respond(
@@ -99,6 +101,7 @@ def _respond(
     pressure: np.ndarray,
     outcome: Outcome,
     limit: float = np.nan,
+    met: float = np.nan,
     first_volume: float = 0.0,
     info: dict[str, object] | None = None,
     names: tuple[str, ...] = (),
@@ -122,6 +125,7 @@ def _respond(
         status=states,
         path_status=(outcome.status,),
         limit_pressure=np.array([limit]),
+        self_contact_pressure=np.array([met]),
         message=(outcome.message,),
         parameters=names,
         jacobian=slopes if names else None,

@@ -117,6 +117,8 @@ class Answer:
         `datagen.mesh_error`; NaN where there is none.
     limit_pressure_error : float, Pa
         The same of the limit pressure.
+    self_contact_pressure : float, Pa
+        Where neighbouring balloons met; NaN where they did not.
     effects : tuple of str
         Adopted effects that the model which answered has in it.
     """
@@ -140,6 +142,7 @@ class Answer:
     jacobian: np.ndarray | None = None
     mesh_error: np.ndarray | None = None
     limit_pressure_error: float = math.nan
+    self_contact_pressure: float = math.nan
     effects: tuple[str, ...] = ()
 
     def _columns(self) -> dict[str, tuple[list[float | None], ...]]:
@@ -154,14 +157,18 @@ class Answer:
 
     def _end(self) -> dict[str, Any]:
         """How the path ended, and what it took."""
-        limit, error = numbers(
-            np.array([self.limit_pressure, self.limit_pressure_error]) / PRESSURE.factor
+        ends = (
+            self.limit_pressure,
+            self.limit_pressure_error,
+            self.self_contact_pressure,
         )
+        limit, error, met = numbers(np.array(ends) / PRESSURE.factor)
         return {
             "status": self.status,
             "message": self.message,
             "limit_pressure_kPa": limit,
             "limit_pressure_error_kPa": error,
+            "self_contact_pressure_kPa": met,
             "mesh_error": self._mesh_error(),
             "unknowns": self.info.get("unknowns"),
             "seconds": self.info.get("seconds"),
@@ -317,6 +324,8 @@ def fem_answer(
     error = None if response.mesh_error is None else response.mesh_error[0]
     half = 0.0 if error is None else error
     limits = response.limit_pressure_error
+    meetings = response.self_contact_pressure
+    met = math.nan if meetings is None else float(meetings[0])
     info = {"seconds": time.perf_counter() - start} | response.info
     return Answer(
         design,
@@ -328,7 +337,7 @@ def fem_answer(
         "fem",
         in_range,
         tuple(reasons),
-        (),
+        _notes_on(met),
         version,
         response.path_status[0],
         response.message[0],
@@ -338,4 +347,15 @@ def fem_answer(
         None if response.jacobian is None else response.jacobian[0],
         error,
         math.nan if limits is None else float(limits[0]),
+        met,
+    )
+
+
+def _notes_on(met: float) -> tuple[str, ...]:
+    """What is to be said of balloons that met at a pressure, Pa; NaN: they did not."""
+    if math.isnan(met):
+        return ()
+    return (
+        f"Neighbouring balloons meet at {met / PRESSURE.factor:.3g} kPa. The model "
+        "does not resist that: beyond, they grow into each other.",
     )

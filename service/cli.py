@@ -141,6 +141,8 @@ def solve(
         print_json(lists)
         return
     _show_path(lists)
+    for line in answer.notes:
+        print(line)
     if sensitivities:
         from .terminal import sensitivity_table
 

@@ -319,6 +319,11 @@ class PredictOut(BaseModel):
     limit_pressure_error_kPa: float | None = Field(
         default=None, description="bound of its discretisation error (kPa)"
     )
+    self_contact_pressure_kPa: float | None = Field(
+        default=None,
+        description="where neighbouring balloons met, which finite elements do not "
+        "resist (kPa); null if they did not",
+    )
     mesh_error: MeshError | None = Field(
         default=None,
         description="of the finite elements; half the width of their interval",

@@ -175,6 +175,22 @@ def test_steps_that_were_not_reached_are_null(pba: Any) -> None:
         assert data[name][1] is None
 
 
+def test_balloons_that_meet_are_told(pba: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = "solve --pressures 10,40"
+    assert the_json(pba(f"{command} --json"))["self_contact_pressure_kPa"] is None
+    apart = FakeModel.__call__
+
+    def meeting(*arguments: Any, **options: Any) -> Response:
+        response = apart(*arguments, **options)
+        return replace(response, self_contact_pressure=np.array([21.5e3]))
+
+    monkeypatch.setattr(FakeModel, "__call__", meeting)
+    assert the_json(pba(f"{command} --json"))["self_contact_pressure_kPa"] == 21.5
+    status, out, _ = pba(command)
+    assert status == 0
+    assert "Neighbouring balloons meet at 21.5 kPa." in out
+
+
 def test_effects_reach_the_model(pba: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr(
