@@ -5,7 +5,7 @@ VENV      ?= .venv
 BENCH     ?= .venv-bench
 PORT      ?= 8000
 DESIGNS   ?= 1000
-FIRST     ?= 455
+FIRST     ?= $(DESIGNS)
 SENSITIVE ?= 200
 SEED      ?= 1
 LEVEL     ?= standard
@@ -65,8 +65,8 @@ recovery: $(TESTABLE) ## plant effects by the thousand, rank them, write it down
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.recover $(SEEDS) $(WORKERS)
 
 # Built aside and copied when complete: an interrupted run, which goes on where it
-# stopped, never leaves half a model in the package.  FIRST is what is shipped;
-# with FIRST=700 EXTEND=surrogate/reference/dataset.h5 that is kept and more is solved.
+# stopped, never leaves half a model in the package.  FIRST=200 solves the first part of
+# the hypercube alone; EXTEND=surrogate/reference/dataset.h5 goes on from what is there.
 reference: $(INSTALLED) ## generate the reference dataset and train its model
 	mkdir -p $(REFERENCE)
 	$(BIN)/pba generate --designs $(DESIGNS) --seed $(SEED) --level $(LEVEL) \

@@ -24,7 +24,6 @@ from .control import Counters, Options, Outcome, StepFailed
 from .corrector import Corrector
 from .equilibrium import Equilibrium, InvertedElement, Workspace
 from .journey import Journey
-from .mesh import StripMesh
 from .overlap import overlapping
 from .problem import Body, Problem
 from .response import OUTPUT_NAMES
@@ -373,8 +372,11 @@ class PathFollower:
 
     def watch(self) -> None:
         """Note where neighbouring balloons have met on the way to the last point."""
-        mesh, here, before = self.problem.mesh, self.point, self._before
-        if self.self_contact is not None or not isinstance(mesh, StripMesh):
+        problem, here, before = self.problem, self.point, self._before
+        if self.self_contact is not None or not isinstance(problem, Problem):
+            return
+        mesh, design = problem.mesh, problem.design
+        if design.divisions_x * design.divisions_y == 1:
             return
         if not overlapping(mesh, here.x):
             return
