@@ -37,7 +37,7 @@ Array = np.ndarray
 TOLERANCE, ITERATIONS = 2e-5, 12
 """Of the adjoints, see `solve_tangent`."""
 
-GOAL, ROUGH, CONTRACTION = 1e-4, 1e-3, 0.01
+GOAL, ROUGH = 5e-4, 1e-3
 """See `Goal`."""
 
 SHAPES = tuple(name for name in OUTPUT_NAMES if name != "cavity_volume")
@@ -50,10 +50,9 @@ SHAPE_ROWS = [row for row in range(len(OUTPUT_NAMES)) if row != VOLUME]
 class Goal:
     """When adjoints are as good as the derivatives need them.
 
-    An adjoint that is within `ROUGH` need not be better when what will be left changes
-    no derivative by more than `GOAL` of its largest amount on the path so far.  What is
-    left is taken to be to the last change as that was to the change before it,
-    `CONTRACTION` at least.
+    An adjoint that is within `ROUGH` need not be better when what is about to be added
+    changes no derivative by more than `GOAL` of its largest amount on the path so far.
+    What is left then is mostly a hundredth of that, but now and then a third.
 
     Parameters
     ----------
@@ -71,7 +70,6 @@ class Goal:
         self._residuals, self._load = residuals, load
         self._by_rise = rise @ residuals
         self._partial, self._largest = partial, largest
-        self._before = np.full(len(partial), np.nan)
 
     def __call__(self, adjoints: Array, aim: Array, columns: Array) -> Array:
         """`enough` of `solve_tangent`."""
@@ -80,10 +78,7 @@ class Goal:
         now = np.abs(self._partial[columns] - adjoints.T @ self._residuals)
         scale = np.fmax(self._largest[columns], now)
         size = (np.abs(change) / np.where(scale > 0, scale, 1.0)).max(axis=1)
-        # No change before: NaN, and nothing is known of what will be left.
-        ratio = np.maximum(size / self._before[columns], CONTRACTION)
-        self._before[columns] = size
-        good: Array = rough & (size * np.nan_to_num(ratio, nan=1.0) <= GOAL)
+        good: Array = rough & (size <= GOAL)
         return good
 
 
