@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 
 from . import elements as el
 from . import surfaces
+from .cavity import add_load_stiffness, cavity, cavity_rates, face_tensor
 from .gas import gas_volume
 from .linear import Solver, default_backend, make_solver
 from .mesh import LOWER, UPPER, reference
@@ -234,7 +235,7 @@ class Equilibrium:
         mesh = problem.mesh
         self.pattern = workspace.pattern(problem)
         self.unknowns = len(self.pattern.free)
-        self._tensor = el.face_tensor()
+        self._tensor = face_tensor()
         self.gradient = reference().gradient
         self._points = [np.repeat(mesh.layer == layer, 27) for layer in (LOWER, UPPER)]
         self._mu = np.repeat(problem.shear_modulus, 27)
@@ -410,7 +411,7 @@ class Equilibrium:
                 self.problem.local_share,
                 *self._arrays(),
             )
-            el.add_load_stiffness(
+            add_load_stiffness(
                 values,
                 self.pattern.of_faces,
                 x,
@@ -480,7 +481,7 @@ class Equilibrium:
     def faces_gradient_rates(self, x: Array, dx: Array) -> Array:
         """Derivatives (c, n, 3) of dV/dx along dx (c, n, 3), V inside the faces."""
         faces = self.problem.mesh.cavity_faces
-        rates: Array = el.cavity_rates(x, dx, faces, self._tensor)
+        rates: Array = cavity_rates(x, dx, faces, self._tensor)
         return rates
 
     def volume(self, x: Array) -> float:
@@ -490,7 +491,7 @@ class Equilibrium:
     def _cavities(self, x: Array) -> tuple[float, Array]:
         """Volume under pressure, m3, and its gradient (n, 3), m2."""
         mesh, data, filled = self.problem.mesh, self.data, self._filled
-        volume, gradient = el.cavity(x, mesh.cavity_faces, self._tensor)
+        volume, gradient = cavity(x, mesh.cavity_faces, self._tensor)
         if len(filled):
             f = el.deformation(
                 x, mesh.cells[filled], self.gradient, data.inverse[filled]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from datagen.bricks import brick, closed, fan, merge, rim
-from datagen.elements import cavity, element_data, face_tensor
+from datagen.cavity import cavity, face_tensor
+from datagen.elements import element_data
 
 Array = np.ndarray
 

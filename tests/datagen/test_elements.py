@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_matrix, diags, triu
 from scipy.sparse.linalg import eigsh
 
-from datagen import elements as el
+from datagen.cavity import cavity, cavity_rates, face_tensor
 from datagen.deflated import Deflated
 from datagen.device import named_device
 from datagen.elements import element_data
@@ -92,10 +92,10 @@ def test_rates_of_the_volume_gradient_are_its_derivatives(
     rng = np.random.default_rng(4)
     x = problem.nodes + 1e-4 * rng.standard_normal(problem.nodes.shape)
     moves = 1e-4 * rng.standard_normal((2, *x.shape))
-    faces, tensor = problem.mesh.cavity_faces, el.face_tensor()
-    rates = el.cavity_rates(x, moves, faces, tensor)
+    faces, tensor = problem.mesh.cavity_faces, face_tensor()
+    rates = cavity_rates(x, moves, faces, tensor)
     for rate, move in zip(rates, moves, strict=True):
-        ahead, behind = (el.cavity(x + s * move, faces, tensor)[1] for s in (1, -1))
+        ahead, behind = (cavity(x + s * move, faces, tensor)[1] for s in (1, -1))
         wanted = (ahead - behind) / 2
         assert np.abs(rate - wanted).max() < 1e-12 * np.abs(ahead).max()
 

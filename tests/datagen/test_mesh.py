@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from datagen.cavity import cavity, face_tensor
 from datagen.device import Design, named_device
-from datagen.elements import cavity, element_data, face_tensor
+from datagen.elements import element_data
 from datagen.errors import InputError
 from datagen.mesh import (
     UPPER,

@@ -61,28 +61,28 @@ MOVED = "test_rates.py::test_moved_nodes_against_central_differences"
 MUTATIONS = (
     Mutation(
         "a fifth for the sixth in the tensor of a face's volume",
-        "elements.py",
+        "cavity.py",
         "(even - odd) / 6",
         "(even - odd) / 5",
         (*standard("sphere", "tube", "strip", "plate"), VOLUME, FINE),
     ),
     Mutation(
         "two for three in the gradient of the volume, along x",
-        "elements.py",
+        "cavity.py",
         "gradient[node, 0] += 3 * v0",
         "gradient[node, 0] += 2 * v0",
         (*standard("sphere", "tube"), LIMIT, TANGENT),
     ),
     Mutation(
         "three for six in the second derivative of the volume",
-        "elements.py",
+        "cavity.py",
         "data[where] -= 6 * pressure",
         "data[where] -= 3 * pressure",
         (TANGENT,),
     ),
     Mutation(
         "the load stiffness with the wrong sign",
-        "elements.py",
+        "cavity.py",
         "data[where] -= 6 * pressure",
         "data[where] += 6 * pressure",
         (TANGENT,),
