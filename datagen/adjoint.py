@@ -52,7 +52,7 @@ class Goal:
 
     An adjoint that is within `ROUGH` need not be better when what is about to be added
     changes no derivative by more than `GOAL` of its largest amount on the path so far.
-    What is left then is mostly a hundredth of that, but now and then a third.
+    Usually far less is left then, but one step does not tell how much less.
 
     Parameters
     ----------

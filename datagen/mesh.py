@@ -90,7 +90,12 @@ LEVELS: dict[str, MeshLevel] = {
 }
 
 FORMER: dict[str, MeshLevel] = {
-    "standard-1": MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, 0.0)
+    level.name: level
+    for level in (
+        MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, 0.0),
+        MeshLevel("draft-4", 4, 4, 3, 3, 2, 1, 1, 1, 1.0, 0.85, 1.0, 2.0),
+        replace(LEVELS["standard"], name="standard-4"),
+    )
 }
 """Levels of earlier generator versions, by which their datasets are solved again."""
 

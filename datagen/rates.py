@@ -317,12 +317,12 @@ def _force_rates(
         for c in range(dx.shape[0]):
             m[:] = 0.0
             j[:] = 0.0
-            rests = True  # and has no part in it
+            still = True  # a field of the design moves few of the elements
             for a in range(27):
                 node = cells[e, a]
                 for i in range(3):
-                    rests &= dx[c, node, i] == 0 and undeformed[c, node, i] == 0
-            if rests:
+                    still &= dx[c, node, i] == 0 and undeformed[c, node, i] == 0
+            if still:
                 continue
             for a in range(27):
                 node = cells[e, a]

@@ -159,6 +159,9 @@ class Response:
         limit = self.limit_pressure_error
         if limit is not None and limit.shape != (n,):
             raise InputError("limit_pressure_error", limit.shape, f"shape {(n,)}")
+        met = self.self_contact_pressure
+        if met is not None and met.shape != (n,):
+            raise InputError("self_contact_pressure", met.shape, f"shape {(n,)}")
 
     def output(self, name: str) -> Array:
         """(n, s) array of one quantity, SI."""

@@ -164,6 +164,7 @@ def test_mesh_is_that_of_the_base() -> None:
     base = Dataset.read(REFERENCE / "dataset.h5")
     assert mesh_of(base) == "standard"
     assert mesh_of(replace(base, generator_version="1")) == "standard-1"
+    assert mesh_of(replace(base, generator_version="4")) == "standard-4"
     with pytest.raises(InputError, match="generator 0, mesh standard"):
         mesh_of(replace(base, generator_version="0"))
 
