@@ -59,7 +59,7 @@ refinement: $(INSTALLED) ## settle the published device on refined meshes (hours
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.refine $(CASES) $(MESHES)
 
 mesh-error: $(INSTALLED) ## calibrate the mesh error on PATHS random designs (many hours; resumes)
-	OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m docs.mesh_error $(PATHS)
+	OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m docs.mesh_error $(PATHS) $(WORKERS)
 
 recovery: $(TESTABLE) ## plant effects by the thousand, rank them, write it down (hours)
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.recover $(SEEDS) $(WORKERS)

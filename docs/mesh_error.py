@@ -1,8 +1,8 @@
 """Calibrate the bounds of the discretisation error, and write down how they do.
 
-Run by ``make mesh-error [PATHS=100]``.  Designs are drawn from the default design
-space, and each is solved on every mesh, up to nine tenths of where its draft path ends
-and then past its limit point (`mesh_error_cases`).  From what is there come
+Run by ``make mesh-error [PATHS=100] [WORKERS=2]``.  Designs are drawn from the default
+design space, and each is solved on every mesh, up to nine tenths of where its draft
+path ends and then past its limit point (`mesh_error_cases`).  From what is there come
 datagen/mesh_error.json and docs/mesh-error.md; PATHS=0 writes them without solving.
 """
 
@@ -334,9 +334,9 @@ def fine_section(cases: Cases, published: Cases) -> list[str]:
     return [*lines, "", words, "", *table(head, rows)]
 
 
-def main(paths: str = "100") -> None:
+def main(paths: str = "100", workers: str = "2") -> None:
     """Solve what is missing; with 0 paths only calibrate and write."""
-    solve_all(int(paths))
+    solve_all(int(paths), int(workers))
     cases, left_out = collect()
     if len(cases) < 3:
         raise SystemExit(f"{len(cases)} designs are too few: make mesh-error PATHS=100")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import astuple, dataclass
 from pathlib import Path as FilePath
 from typing import Any
@@ -106,13 +107,19 @@ def _plain(array: Array) -> list[Any]:
 
 
 def known() -> dict[tuple[int | str, str], Run]:
-    """Solved paths by row and level; those of a mesh that has changed are left out."""
+    """Solved paths by row and level; those of a mesh that has changed are left out.
+
+    The last line of a killed run may be cut.
+    """
     if not RUNS.exists():
         return {}
     current = {level.name: list(astuple(level)[1:]) for level in MESHES}
     found = {}
     for line in RUNS.read_text().splitlines():
-        run = json.loads(line)
+        try:
+            run = json.loads(line)
+        except ValueError:
+            continue
         if run["mesh"] == current[run["level"]]:
             found[run["row"], run["level"]] = run
     return found
@@ -133,20 +140,27 @@ def targets_of(row: int | str, design: Design, runs: list[Run]) -> list[float]:
     return [float(target) for target in targets]
 
 
-def solve_all(paths: int) -> None:
-    """Solve what is missing, one line a path."""
-    done = known()
-    for row, design in designs(paths).items():
-        for level in MESHES:
-            if (row, level.name) in done:
-                continue
-            others = [done[row, m.name] for m in MESHES if (row, m.name) in done]
-            targets = targets_of(row, design, others)
-            run = done[row, level.name] = follow(design, level, targets)
-            with RUNS.open("a") as lines:
-                lines.write(json.dumps({"row": row} | run) + "\n")
-            words = f"{run['unknowns']} unknowns, {run['seconds']:.0f} s"
-            print(f"design {row}, {level.name}: {words}, {run['status']}", flush=True)
+def solve_design(row: int | str, design: Design) -> None:
+    """Solve a design on the meshes that it lacks, one line a path."""
+    done = [run for (one, _), run in known().items() if one == row]
+    for level in MESHES:
+        if level.name in [run["level"] for run in done]:
+            continue
+        run = follow(design, level, targets_of(row, design, done))
+        done.append(run)
+        line = json.dumps({"row": row} | run) + "\n"
+        with RUNS.open("a") as lines:  # one short write: workers do not mix theirs
+            lines.write(line)
+        words = f"{run['unknowns']} unknowns, {run['seconds']:.0f} s"
+        print(f"design {row}, {level.name}: {words}, {run['status']}", flush=True)
+
+
+def solve_all(paths: int, workers: int) -> None:
+    """Solve what is missing, a design by each worker."""
+    with ProcessPoolExecutor(workers) as pool:
+        solving = [pool.submit(solve_design, *one) for one in designs(paths).items()]
+        for one in solving:
+            one.result()
 
 
 @dataclass(frozen=True)
