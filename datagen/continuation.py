@@ -34,8 +34,8 @@ Array = np.ndarray
 REST = 1e9
 """Time for which a body has rested before the path begins, s: some thirty years."""
 
-MEETING_STEPS = 8
-"""Halvings of a step in which neighbouring balloons have met."""
+HALVINGS = 8
+"""Of a step in which walls have met."""
 
 
 class PathFollower:
@@ -372,7 +372,7 @@ class PathFollower:
 
     def watch(self) -> None:
         """Note where neighbouring balloons have met on the way to the last point."""
-        problem, here, before = self.problem, self.point, self._before
+        problem, here = self.problem, self.point
         if self.self_contact is not None or not isinstance(problem, Problem):
             return
         mesh, design = problem.mesh, problem.design
@@ -380,18 +380,27 @@ class PathFollower:
             return
         if not overlapping(mesh, here.x):
             return
-        self.self_contact = here.pressure
-        if before is None:
-            return
+        self.self_contact = self.first_where(lambda x: overlapping(mesh, x))
+
+    def first_where(self, true: Callable[[Array], bool]) -> float:
+        """Cavity pressure, Pa, from which on something is true of the nodes (n, 3).
+
+        It is true of the last point; looked for by halving the step that led there.
+        """
+        here, before = self.point, self._before
+        found = here.pressure
+        if before is None or true(before.x):
+            return found
         chart = Chart(here, before, before.normal + here.normal)
-        apart, met = chart.measure(before.x), 0.0
-        for _ in range(MEETING_STEPS):
-            middle = (apart + met) / 2
+        false, later = chart.measure(before.x), 0.0
+        for _ in range(HALVINGS):
+            middle = (false + later) / 2
             x, pressure = chart.at(middle)
-            if overlapping(mesh, x):
-                met, self.self_contact = middle, pressure
+            if true(x):
+                later, found = middle, pressure
             else:
-                apart = middle
+                false = middle
+        return found
 
     def run(
         self,

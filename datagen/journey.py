@@ -63,6 +63,8 @@ class Journey:
         except StepFailed as failure:
             return self._end(failure.status, f"{failure.detail}, held at {self._at()}")
         if held:
+            if self._touches(held):
+                return True
             if leg.whole:
                 follower.differentiate()
                 self.outcome.keep(leg.step, follower.point)
@@ -96,26 +98,39 @@ class Journey:
                 self.outcome.keep(step, follower.limit)
             if go_on is None:
                 return self._end("limit_point", "")
-        if follower.problem.mesh.touching(point.x):
-            return self._end("contact", f"roof and floor touch at {self._at()}")
+        if self._touches():
+            return True
         if wanted or self.keep_all or follower.limit is not None:
             self.outcome.keep(step, point)
         if wanted or follower.limit is None or go_on is None or not go_on(point):
             return False
         return self._end("limit_point", f"ends at {self._at()}")
 
+    def _touches(self, held: bool = False) -> bool:
+        """End the path where roof and floor touch at its last point.
+
+        Weight, growth or time close a cavity without a change of pressure: `held`.
+        """
+        follower = self.follower
+        touching = follower.problem.mesh.touching
+        if not touching(follower.point.x):
+            return False
+        at = self._at(None if held else follower.first_where(touching))
+        return self._end("contact", f"roof and floor touch at {at}")
+
     def _end(self, status: str, words: str) -> bool:
         """End the path; one that has turned says so first, whatever came after."""
         limit = self.follower.limit
         if limit is not None:
-            status, turned = "limit_point", f"the path turns at {self._at(limit)}"
+            turned = f"the path turns at {self._at(limit.pressure)}"
+            status = "limit_point"
             words = turned + (f"; followed beyond: {words}" if words else "")
         self.outcome.end(status, words)
         return True
 
-    def _at(self, point: Point | None = None) -> str:
-        """Gauge pressure of a point in words."""
-        pressure = (point or self.follower.point).pressure
+    def _at(self, pressure: float | None = None) -> str:
+        """Gauge pressure in words of a cavity pressure, Pa, or of the last point."""
+        pressure = self.follower.point.pressure if pressure is None else pressure
         return f"{gauge(self.follower.problem, pressure) / 1e3:.4g} kPa"
 
 

@@ -275,18 +275,19 @@ class Model:
     def explore(
         self,
         design: Design,
-        max_pressure: float = MAX_PRESSURE,
+        pressure: float | Array = MAX_PRESSURE,
         sensitivities: bool = False,
         beyond: bool = False,
         mesh_error: bool = False,
     ) -> Response:
-        """Every equilibrium on the way up: even load steps, the follower's between.
+        """Every equilibrium on the way: load steps, and the follower's between.
 
         Parameters
         ----------
         design : Design
-        max_pressure : float, Pa
-            Gauge pressure at which the path ends unless it turns before.
+        pressure : float or (s,) array, Pa
+            Gauge pressure at which the path ends unless it turns before, reached in
+            even load steps; or the load steps.
         sensitivities : bool
             As in a call.
         beyond : bool
@@ -298,11 +299,13 @@ class Model:
         Returns
         -------
         Response
-            Of one device; the last step is `max_pressure` or the limit point, or what
-            was reached beyond it.
+            Of one device; the last step is the last load step or the limit point, or
+            what was reached beyond it.
         """
         self._check_level(mesh_error)
-        path = Path(np.linspace(0.0, max_pressure, EXPLORED_STEPS + 1)[1:])
+        if np.ndim(pressure) == 0:
+            pressure = np.linspace(0.0, float(pressure), EXPLORED_STEPS + 1)[1:]
+        path = Path(np.asarray(pressure))
         directions = self.directions(design) if sensitivities else ()
         response = solve(
             self.problem(design),

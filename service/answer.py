@@ -306,8 +306,8 @@ def fem_answer(
     sensitivities : bool
         Differentiate, too; `model` must know how, as `datagen.model.Model` does.
     beyond : bool
-        Up to the highest pressure at the solver's own steps and, where the path turns
-        before, on past its limit point.
+        At the solver's own steps, too, and on past a limit point where the path turns
+        before.
     mesh_error : bool
         Bound the discretisation error; without it the interval has no width.
     """
@@ -315,8 +315,7 @@ def fem_answer(
     options = {"sensitivities": sensitivities, "mesh_error": mesh_error}
     wanted = {name: True for name, asked in options.items() if asked}
     if beyond:
-        top = float(pressure.max())
-        response = model.explore(design, top, beyond=True, **wanted)  # type: ignore[attr-defined]
+        response = model.explore(design, pressure, beyond=True, **wanted)  # type: ignore[attr-defined]
         pressure = response.pressure[0]
     else:
         response = model([design], [Path(pressure)], **wanted)

@@ -208,6 +208,24 @@ def parse_effects(texts: Iterable[str]) -> dict[str, dict[str, float]]:
     return out
 
 
+def check_acting(effects: Mapping[str, Mapping[str, float]]) -> None:
+    """Refuse effects that were named and left at their off values.
+
+    Raises
+    ------
+    InputError
+        When an effect has no parameter.
+    """
+    for name, values in effects.items():
+        if not values:
+            raise InputError(
+                "--effect",
+                name,
+                f"{name}:parameter=value, without which it changes nothing (`pba "
+                f"effects show {name}` lists its parameters), or --sensitivities",
+            )
+
+
 def check_case(case: Any) -> int:
     """The material case as a whole number.
 

@@ -101,8 +101,8 @@ def solve(
         bool,
         Option(
             "--beyond",
-            help="Every equilibrium up to the highest pressure and, where the path "
-            "turns before, on past its limit point.",
+            help="Every equilibrium on the way, too, and where the path turns before, "
+            "on past its limit point.",
         ),
     ] = False,
     mesh_error: Annotated[
@@ -115,11 +115,18 @@ def solve(
     as_json: AsJson = False,
 ) -> None:
     """One path by finite elements."""
-    from .bench import parse_effects, parse_pressures, pressures_from_bench
+    from .bench import (
+        check_acting,
+        parse_effects,
+        parse_pressures,
+        pressures_from_bench,
+    )
 
     design = _design(device, case, settings)
     pressure = pressures_from_bench(parse_pressures(pressures))
     parameters = parse_effects(effect)
+    if not sensitivities:
+        check_acting(parameters)
     from .answer import fem_answer
     from .versions import fem_model, fem_name, named_version
 

@@ -195,6 +195,46 @@ def test_touching_roof_and_floor_stops_the_path(draft: Model) -> None:
     assert response.output("cavity_volume")[0, 0] < 0
 
 
+def test_the_pressure_of_contact_is_no_matter_of_the_steps(draft: Model) -> None:
+    flat = named_device().with_values(cavity_height=30e-6)
+
+    def said(pressures: list[float]) -> float:
+        response = draft([flat], [Path(np.array(pressures))])
+        assert response.path_status == ("contact",)
+        return float(response.message[0].split()[-2]) * KPA
+
+    coarse, fine = said([-20e3]), said([-10.0 * i for i in range(1, 2001)])
+    assert coarse == pytest.approx(fine, rel=0.02)
+
+
+def test_a_cavity_that_closes_at_rest_has_no_values() -> None:
+    """Weight or an offset of the supply close it without a change of the gauge."""
+    flat = named_device().with_values(
+        cavity_height=5e-6,
+        upper_thickness=40e-6,
+        balloon_width=4e-3,
+        width=5e-3,
+        upper_modulus=0.8e6,
+    )
+    weight = {"self_weight": {"density": 1000.0, "orientation": 0.0}}
+    heavy = Model(effects=("self_weight",), level="draft", parameters=weight)
+    response = heavy([flat], [Path(np.array([0.0, 200.0]))])
+    assert response.path_status == ("contact",)
+    assert "touch at 0 kPa" in response.message[0]
+    assert np.isnan(response.values).all()
+
+
+def test_wanted_steps_are_among_the_explored_ones(draft: Model) -> None:
+    wanted = np.array([0.0, 5.0, 20.0, 12.0]) * KPA
+    found = draft.explore(named_device("D8-2x1"), wanted, beyond=True)
+    assert found.path_status == ("completed",)
+    steps = found.pressure[0]
+    at = [int(np.argmin(np.abs(steps - one))) for one in wanted]
+    assert np.allclose(steps[at], wanted, atol=1e-6)
+    assert at == sorted(at)
+    assert len(steps) > len(wanted)
+
+
 def test_too_many_steps_are_said(soft: Design) -> None:
     problem = baseline(soft, mesh_level("draft"))
     few = solve(problem, Path(np.array([60e3])), options=Options(max_steps=3))

@@ -58,10 +58,10 @@ class FakeModel:
         return replace(response, parameters=names, jacobian=slopes)
 
     def explore(
-        self, design: Any, max_pressure: float, beyond: bool, mesh_error: bool = False
+        self, design: Any, pressure: Any, beyond: bool, mesh_error: bool = False
     ) -> Response:
         assert beyond
-        turning = np.array([0.5, 1.0, 0.4]) * max_pressure
+        turning = np.insert(pressure, 1, 20e3)
         return FakeFem()([design], [LoadPath(turning)], mesh_error)
 
 
@@ -146,7 +146,7 @@ def test_sensitivities_are_in_bench_units(pba: Any) -> None:
 
 def test_beyond_gives_the_steps_of_the_solver(pba: Any) -> None:
     data = the_json(pba("solve --pressures 10,40 --beyond --json"))
-    assert data["pressure_kPa"] == [20, 40, 16]
+    assert data["pressure_kPa"] == [10, 20, 40]
 
 
 def test_sensitivities_are_told_for_one_percent(pba: Any) -> None:
@@ -197,7 +197,7 @@ def test_effects_reach_the_model(pba: Any, monkeypatch: pytest.MonkeyPatch) -> N
         FakeModel, "__post_init__", lambda self: seen.append(self), raising=True
     )
     command = ["solve", "--effect", "self_weight:density=1000,angle=-1e-2"]
-    command += ["--effect", "yeoh", "--level", "draft", "--json"]
+    command += ["--effect", "yeoh", "--sensitivities", "--level", "draft", "--json"]
     data = the_json(pba(command))
     (model,) = seen
     assert model.effects == ("self_weight", "yeoh")
@@ -264,6 +264,7 @@ BAD_INPUT = [
     ("solve --effect a:b", "--effect: 'a:b'", "name:parameter=value"),
     ("solve --effect a:b=x", "a.b: 'x'", "a finite number"),
     ("solve --effect a:b=nan", "a.b: nan", "a finite number"),
+    ("solve --effect yeoh", "--effect: 'yeoh'", "pba effects show yeoh"),
     ("solve --effect a --effect a", "--effect: 'a'", "at most once"),
     ("predict --pressures 1e9", "pressure_kPa[0]: 1e+09 kPa", "10000 kPa"),
     ("generate --designs 0 --seed 1 --out a", "--designs: 0", "from 1 to 100000000"),
