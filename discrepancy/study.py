@@ -206,10 +206,10 @@ class Study:
             values.append(curve.values[s, m])
         self.kinds = tuple(kinds)
         group, scale = np.array(groups), np.array(scales)
-        curve_of = np.array(curve_of)
+        own = np.array(curve_of)
         std, is_stated = np.array(noise, dtype=float), np.array(stated)
-        for own in np.unique(curve_of):  # a blank among those of its curve is like them
-            at = curve_of == own
+        for one in np.unique(own):  # a blank among those of its curve is like them
+            at = own == one
             if is_stated[at].any():
                 std[at & ~is_stated] = float(np.median(std[at & is_stated]))
                 is_stated[at] = True
@@ -228,7 +228,7 @@ class Study:
         return Readings(
             value=np.array(values),
             group=group,
-            curve=curve_of,
+            curve=own,
             place=np.array(places),
             path=np.array(ways),
             noise=std,
