@@ -122,6 +122,11 @@ def _calibration() -> Mapping[str, Factors]:
     return found
 
 
+def calibrated_on() -> int:
+    """Random designs that the factors were calibrated on."""
+    return int(json.loads(FACTORS.read_text())["designs"])
+
+
 def factors(level: str) -> Factors:
     """The calibrated numbers of a mesh level, see `_calibration`."""
     return _calibration()[level]

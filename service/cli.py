@@ -474,7 +474,10 @@ def _show_path(lists: Mapping[str, Any]) -> None:
     print_rich(path_table(lists))
     print(verdict(lists))
     if lists["mesh_error"]:
-        print("± estimates the discretisation error; its calibration is provisional.")
+        from datagen.mesh_error import calibrated_on
+
+        count = calibrated_on()
+        print(f"± bounds the discretisation error, calibrated on {count} designs.")
 
 
 def _complain(message: str) -> None:

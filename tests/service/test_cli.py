@@ -125,7 +125,7 @@ def test_mesh_error_is_told_unless_not_wanted(pba: Any) -> None:
     assert status == 0
     assert "±0.0" in out
     assert "400 kPa (mesh error 4 kPa)" in out
-    assert "± estimates the discretisation error" in out
+    assert "± bounds the discretisation error, calibrated on" in out
     plain = the_json(pba(f"{command} --no-mesh-error --json"))
     assert plain["mesh_error"] is plain["limit_pressure_error_kPa"] is None
     assert plain["inflation_mm"] == data["inflation_mm"]
