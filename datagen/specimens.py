@@ -7,7 +7,7 @@ made as a `Body`, so that the effects that act on a device's material act on the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -33,9 +33,11 @@ Array = np.ndarray
 MODES = ("uniaxial", "equibiaxial", "planar")
 """Ways to pull a tensile specimen; the first is the usual one."""
 
-SPECIMEN_STAGES = ("material", "load")
+SPECIMEN_STAGES = ("material", "initial strain", "load")
 """Stages of the effects that act on a specimen: it is of the device's material and is
-measured by the same gauge, and has nothing else in common with the device."""
+measured by the same gauge, and has nothing else in common with the device.  It grows
+before it is clamped, and its lengths are those that it then has: of an initial strain
+acts only what comes along with it, as a warm rubber's modulus does."""
 
 STEEPEST_BULGE = 1.25
 """Largest ratio of neighbouring elements: small loads bend the membrane everywhere."""
@@ -204,6 +206,8 @@ def with_effects(
             # What asks for a device's parts (a channel) is not in a specimen.
             if not isinstance(error.obj, (Body, Mesh)):
                 raise
+        if body.growth is not None or body.swellings:
+            body = replace(body, growth=None, swellings=())
     return body
 
 

@@ -176,6 +176,7 @@ def column_of(header: str) -> tuple[str, float] | None:
         if alike:
             return field, units[alike[0]]
         if given == "%" or (column.unit and (given == "" or _is_unit(given))):
+            # Another word is another column: pressure_ref, inflation_raw.
             raise ValueError(
                 f"column {header.strip()!r}: "
                 f"{f'unit {given!r}' if given else 'no unit'} is not allowed; allowed: "
@@ -190,8 +191,10 @@ def column_of(header: str) -> tuple[str, float] | None:
 
 
 def _is_unit(text: str) -> bool:
-    """True for what looks like a unit: one short word."""
-    return "_" not in text and len(text) <= 4
+    """True for a unit of any kind."""
+    return any(
+        text.lower() == unit.lower() for units in UNITS.values() for unit in units
+    )
 
 
 def refusal(

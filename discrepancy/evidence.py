@@ -128,7 +128,8 @@ class Fit:
         """(n,) standard deviation of independent errors, inferred where not stated."""
         factor = self.amplitude("noise")
         of_reading = [factor.get(int(g), 1.0) for g in self.readings.group]
-        noise: Array = self.readings.noise * np.array(of_reading)
+        inferred = self.readings.noise * np.array(of_reading)
+        noise: Array = np.where(self.readings.stated, self.readings.noise, inferred)
         return noise
 
     def values(self) -> Array:

@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from datagen.device import Design
 from datagen.errors import InputError
-from datagen.specimens import Bulge, Tensile
+from datagen.specimens import MODES, Bulge, Tensile
 
 from .evidence import Fit
 from .hypotheses import Present
@@ -69,41 +69,66 @@ class Proposal:
 
 def proposals(study: Study, names: Sequence[str]) -> Iterator[tuple[str, Curve]]:
     """Measurements that a lab can make with what it has, in words and as curves."""
-    device = _telling(study, names)
-    curve, design = device, device.design
-    assert isinstance(design, Design)
-    top = float(np.abs(curve.load).max())
+    curve = _telling(study, names)
+    if isinstance(curve.design, Design):
+        yield from _of_device(study, curve, curve.design)
+        for layer, modulus in curve.layers.items():
+            yield _strip(study, curve, layer, modulus)
+        yield _membrane(study, curve, curve.design)
+    elif isinstance(curve.design, Bulge):
+        yield _further(study, curve)
+        yield _strip(study, curve, curve.design.layer, curve.design.modulus)
+    else:
+        yield from _of_strip(study, curve, curve.design)
 
-    def steps(load: Array, **other: object) -> Curve:
-        load = np.asarray(load, dtype=float)
-        shape = (len(load), len(curve.outputs))
-        settings: dict[str, object] = {
-            "load": load,
-            "time": None,
-            "branch": np.full(len(load), LOADING),
-            "values": np.ones(shape),
-            "std": np.tile(np.nanmedian(_noise(study, curve), axis=0), (len(load), 1)),
-            "run": 1 + max(c.run for c in study.measurements.curves),
-        }
-        return replace(curve, **(settings | other))  # type: ignore[arg-type]
 
-    def shown(load: Array) -> str:
-        return ", ".join(f"{p / 1e3:.3g}" for p in load)
+def _again(study: Study, curve: Curve, load: Array, **other: object) -> Curve:
+    """A curve like one that was measured, at other load steps; not read yet."""
+    load = np.asarray(load, dtype=float)
+    shape = (len(load), len(curve.outputs))
+    settings: dict[str, object] = {
+        "load": load,
+        "time": None,
+        "branch": np.full(len(load), LOADING),
+        "values": np.ones(shape),
+        "std": np.tile(np.nanmedian(_noise(study, curve), axis=0), (len(load), 1)),
+        "run": 1 + max(c.run for c in study.measurements.curves),
+    }
+    return replace(curve, **(settings | other))  # type: ignore[arg-type]
 
-    high = top * np.array([1.2, 1.4, 1.6])
-    yield f"measure {curve.device} further, at {shown(high)} kPa", steps(high)
-    low = top * np.array([0.02, 0.04, 0.08])
-    yield f"measure {curve.device} more finely, at {shown(low)} kPa", steps(low)
+
+def _shown(load: Array) -> str:
+    return ", ".join(f"{p / 1e3:.3g}" for p in load)
+
+
+def _further(study: Study, curve: Curve) -> tuple[str, Curve]:
+    """Higher pressures on a device or membrane."""
+    high = float(np.abs(curve.load).max()) * np.array([1.2, 1.4, 1.6])
+    words = f"measure {curve.device} further, at {_shown(high)} kPa"
+    return words, _again(study, curve, high)
+
+
+def _of_device(
+    study: Study, curve: Curve, design: Design
+) -> Iterator[tuple[str, Curve]]:
+    """More readings of a device, and of devices like it."""
+    yield _further(study, curve)
+    low = float(np.abs(curve.load).max()) * np.array([0.02, 0.04, 0.08])
+    yield (
+        f"measure {curve.device} more finely, at {_shown(low)} kPa",
+        _again(study, curve, low),
+    )
     load = np.unique(np.abs(curve.load))
     yield (
         f"turn {curve.device} over (orientation_deg 180) and measure it again",
-        steps(load, orientation=np.pi - curve.orientation),
+        _again(study, curve, load, orientation=np.pi - curve.orientation),
     )
     both = np.concatenate([load, load[-2::-1]])
     branch = np.repeat([LOADING, UNLOADING], [len(load), len(both) - len(load)])
+    time = 10.0 * np.arange(1, len(both) + 1)
     yield (
         f"measure {curve.device} up and down again, 10 s a step (branch, time_s)",
-        steps(both, branch=branch, time=10.0 * np.arange(1, len(both) + 1)),
+        _again(study, curve, both, branch=branch, time=time),
     )
     for field, factor, words in (
         ("upper_thickness", 0.65, "a thinner upper layer"),
@@ -116,40 +141,71 @@ def proposals(study: Study, names: Sequence[str]) -> Iterator[tuple[str, Curve]]
             continue
         bench = {"upper_thickness": (1e6, "um")}.get(field, (1e3, "mm"))
         value = f"{getattr(other, field) * bench[0]:.3g} {bench[1]}"
+        name = f"{curve.device}, {words}"
         yield (
             f"make and measure a device like {curve.device} with {words}, {value}",
-            steps(load, device=f"{curve.device}, {words}", design=other),
+            _again(study, curve, load, device=name, design=other),
         )
+
+
+def _strip(study: Study, curve: Curve, layer: str, modulus: float) -> tuple[str, Curve]:
+    """A strip of a layer's batch, pulled to twice its length."""
     stretch = np.linspace(1.1, 2.0, 10)
-    for layer, modulus in curve.layers.items():
-        stress = TENSILE_NOISE * modulus / 3 * 1.75
-        yield (
-            f"pull a strip of the {layer} layer's batch ({modulus / 1e6:.3g} MPa) to "
-            "twice its length",
-            steps(
-                stretch,
-                device=f"strip of the {layer} layer",
-                design=Tensile(modulus, layer=layer),
-                orientation=0.0,
-                outputs=("stress",),
-                values=np.ones((len(stretch), 1)),
-                std=np.full((len(stretch), 1), stress),
-            ),
-        )
-    hole = Bulge(*HOLE, design.upper_thickness, design.upper_modulus)
-    yield (
-        "inflate a membrane of the upper layer over a hole of "
-        f"{1e3 * HOLE[0]:g} x {1e3 * HOLE[1]:g} mm",
-        steps(
-            load,
-            device="membrane of the upper layer",
-            design=hole,
-            orientation=0.0,
-            outputs=("inflation",),
-            values=np.ones((len(load), 1)),
-            std=np.full((len(load), 1), float(np.nanmin(_noise(study, curve)))),
-        ),
+    stress = TENSILE_NOISE * modulus / 3 * 1.75
+    words = f"pull a strip of the {layer} layer's batch ({modulus / 1e6:.3g} MPa) to "
+    return words + "twice its length", _again(
+        study,
+        curve,
+        stretch,
+        device=f"strip of the {layer} layer",
+        design=Tensile(modulus, layer=layer),
+        orientation=0.0,
+        outputs=("stress",),
+        values=np.ones((len(stretch), 1)),
+        std=np.full((len(stretch), 1), stress),
     )
+
+
+def _membrane(study: Study, curve: Curve, design: Design) -> tuple[str, Curve]:
+    """A membrane like a device's upper layer over the published hole."""
+    load = np.unique(np.abs(curve.load))
+    hole = Bulge(*HOLE, design.upper_thickness, design.upper_modulus)
+    words = "inflate a membrane of the upper layer over a hole of "
+    return words + f"{1e3 * HOLE[0]:g} x {1e3 * HOLE[1]:g} mm", _again(
+        study,
+        curve,
+        load,
+        device="membrane of the upper layer",
+        design=hole,
+        orientation=0.0,
+        outputs=("inflation",),
+        values=np.ones((len(load), 1)),
+        std=np.full((len(load), 1), float(np.nanmin(_noise(study, curve)))),
+    )
+
+
+def _of_strip(
+    study: Study, curve: Curve, strip: Tensile
+) -> Iterator[tuple[str, Curve]]:
+    """Strips pulled further, and in other ways."""
+    top = float(curve.load.max())
+    high = 1 + (top - 1) * np.array([1.15, 1.3, 1.5])
+    shown = ", ".join(f"{stretch:.3g}" for stretch in high)
+    yield (
+        f"pull {curve.device} further, to stretches {shown}",
+        _again(study, curve, high),
+    )
+    stretch = np.linspace(1 + (top - 1) / 8, top, 8)
+    for mode in MODES:
+        if mode != strip.mode:
+            name = f"{curve.device}, {mode}"
+            yield (
+                f"test the material of {curve.device} in {mode} tension, to a stretch "
+                f"of {top:.3g}",
+                _again(
+                    study, curve, stretch, device=name, design=replace(strip, mode=mode)
+                ),
+            )
 
 
 def _changed(design: Design, field: str, factor: float) -> Design:
@@ -173,7 +229,10 @@ def _noise(study: Study, curve: Curve) -> Array:
 
 
 def _telling(study: Study, names: Sequence[str]) -> Curve:
-    """The device on which the hypotheses differ most by their solved curves."""
+    """The device on which the hypotheses differ most by their solved curves.
+
+    A specimen where there is no device.
+    """
     readings = study.readings
     spread = np.zeros(len(readings.value))
     for name in names:
@@ -185,11 +244,9 @@ def _telling(study: Study, names: Sequence[str]) -> Curve:
     score = {
         c: spread[[i for i, cell in enumerate(study.cells) if cell[0] == c]].max()
         for c in {cell[0] for cell in study.cells}
-        if isinstance(curves[c].design, Design)
     }
-    if not score:
-        raise InputError("specimen", "no actuator", "at least one actuator")
-    return curves[max(score, key=lambda c: score[c])]
+    devices = [c for c in score if isinstance(curves[c].design, Design)]
+    return curves[max(devices or score, key=lambda c: score[c])]
 
 
 def separation(fits: Sequence[Fit]) -> tuple[float, tuple[str, str]]:

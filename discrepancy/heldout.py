@@ -18,13 +18,20 @@ TAIL = 0.05
 """Probability beyond each end of an interval."""
 
 
-def left_out(one: Fit) -> Array:
+def left_out(one: Fit, noise: Array | None = None) -> Array:
     """(n,) residuals, over the noise, of devices left out one at a time.
 
     Calibrations that a left-out device shares (batch moduli) are those of the others;
     its own (thickness, camera) are at their stated values.  NaN where there is but one
     device.
+
+    Parameters
+    ----------
+    one : Fit
+    noise : (n,) array, optional
+        That the errors of several hypotheses are measured by; the fit's own by default.
     """
+    noise = one.noise if noise is None else noise
     readings = one.readings
     residuals = np.full(len(readings.value), np.nan)
     for device in np.unique(readings.device):
@@ -41,27 +48,35 @@ def left_out(one: Fit) -> Array:
             fixed=same,  # one device hardly moves the amplitudes of all
             evidence=False,
         )
-        residuals[out] = (readings.value - others.predict())[out] / one.noise[out]
+        residuals[out] = (readings.value - others.predict())[out] / noise[out]
     return residuals
 
 
-def held_out(one: Fit) -> float:
+def held_out(one: Fit, noise: Array | None = None) -> float:
     """Root mean square of `left_out`; NaN where there is but one device."""
-    return float(np.sqrt(np.mean(left_out(one) ** 2)))
+    return float(np.sqrt(np.mean(left_out(one, noise) ** 2)))
 
 
-def noise_floor(one: Fit) -> float:
+def noise_floor(one: Fit, noise: Array | None = None) -> float:
     """Held-out error that the right physics would have.
 
     Independent noise, smooth errors inside a curve, and the tolerances of a device that
     was not measured: what is expected of the residual when a hypothesis is true.
+
+    Parameters
+    ----------
+    one : Fit
+        Of the hypothesis that is taken for true.
+    noise : (n,) array, optional
+        As in `left_out`.
     """
     readings = one.readings
+    noise = one.noise if noise is None else noise
     smooth = one.amplitude("smooth")
     own = np.array([smooth.get(int(g), 0.0) for g in readings.group]) * readings.scale
     # Moduli are shared, and known from the other devices; the rest is the device's own.
     columns = one.hypothesis.predict(one.t).columns[:, ~shared(one)]
-    variance = 1 + (own**2 + (columns**2).sum(axis=1)) / one.noise**2
+    variance = (one.noise**2 + own**2 + (columns**2).sum(axis=1)) / noise**2
     return float(np.sqrt(variance.mean()))
 
 
@@ -69,7 +84,7 @@ def explained(one: Fit, nothing: Fit) -> float:
     """Share of what could fall of the squared error on left-out devices that does fall.
 
     From the error with nothing missing to the noise floor, which counts the smooth
-    errors that the hypothesis leaves as errors.
+    errors that the hypothesis leaves as errors; all over the hypothesis' noise.
 
     Parameters
     ----------
@@ -79,12 +94,14 @@ def explained(one: Fit, nothing: Fit) -> float:
     Returns
     -------
     float
-        1 at the floor, 0 or less where the hypothesis does not help; NaN where there is
-        but one device, or nothing could fall.
+        1 at the floor, 0 or less where the hypothesis does not help, or leaves errors
+        so large that nothing could fall; NaN where there is but one device.
     """
-    before, after = held_out(nothing) ** 2, held_out(one) ** 2
+    before, after = held_out(nothing, one.noise) ** 2, held_out(one) ** 2
     room = before - noise_floor(one) ** 2
-    return (before - after) / room if room > 0 else math.nan
+    if math.isnan(room):
+        return math.nan
+    return (before - after) / room if room > 0 else 0.0
 
 
 def shared(one: Fit) -> Array:
@@ -118,7 +135,8 @@ def floor_interval(one: Fit, seed: int, draws: int = DRAWS) -> tuple[float, floa
     bent = np.zeros((draws, n))
     for curve in np.unique(readings.curve) if readings.correlated else ():
         at = np.flatnonzero(readings.curve == curve)
-        kernel = smooth_kernel(readings.place[at]) + 1e-10 * np.eye(len(at))
+        kernel = smooth_kernel(readings.place[at], readings.path[at])
+        kernel += 1e-10 * np.eye(len(at))
         amplitude = smooth.get(int(readings.group[at[0]]), 0.0) * readings.scale[at]
         drawn = rng.standard_normal((draws, len(at))) @ np.linalg.cholesky(kernel).T
         bent[:, at] = drawn * amplitude / one.noise[at]

@@ -193,7 +193,9 @@ def judge(
             for one in ranked
         ]
     shown = [one for i, one in enumerate(ranked) if i < 6 or one.name == "nothing"]
-    errors = {one.name: held_out(one.fit) for one in shown if details}
+    # Hypotheses infer noises of their own where none is stated: one for all of them.
+    noise = max(fits, key=lambda one: one.log_evidence).noise
+    errors = {one.name: held_out(one.fit, noise) for one in shown if details}
     ranked = [
         replace(one, heldout_error=errors.get(one.name, math.nan)) for one in ranked
     ]
@@ -203,7 +205,7 @@ def judge(
         effects=effects,
         candidates=tuple(ranked),
         baseline_error=errors.get("nothing", math.nan),
-        noise_floor=noise_floor(ranked[0].fit),
+        noise_floor=noise_floor(ranked[0].fit, noise),
         confusion=matrix,
         confused=names,
         unjudged=dict(unjudged),

@@ -90,8 +90,18 @@ def smooth_error(rng: np.random.Generator, place: Array) -> Array:
     """One draw of a smooth error of size 1 at places (s,) from 0 to 1.
 
     A Legendre series with normal coefficients, whose mean square over the range is
-    sum c_k^2 / (2 k + 1), 1 in expectation.
+    sum c_k^2 / (2 k + 1), 1 in expectation.  Where places come back, half of the
+    variance is that of another series over the whole way.
     """
+    way = np.abs(np.diff(place, prepend=0.0)).cumsum()
+    if way[-1] <= place.max() + 1e-9:
+        return _series(rng, place)
+    both = _series(rng, place) + _series(rng, way / way[-1])
+    error: Array = both / math.sqrt(2)
+    return error
+
+
+def _series(rng: np.random.Generator, place: Array) -> Array:
     degree = np.arange(len(LEGENDRE))
     norm = math.sqrt(float((LEGENDRE**2 / (2 * degree + 1)).sum()))
     drawn = LEGENDRE * rng.standard_normal(len(LEGENDRE)) / norm
@@ -134,10 +144,11 @@ class Programme:
         load, time, measured = [], [], []
         at, clock = 0.0, 0.0
         for run in range(self.runs):
-            if run:  # vented, half of the rest
-                at, clock = 0.0, clock + REST / 2
-                load.append(at)
-                time.append(clock)
+            if run:  # vented as fast as loaded, and left so
+                step = min(self.hold, REST / 3)
+                load += [0.0, 0.0]
+                time += [clock + step, float(self.time[run, 0]) - step]
+                at, clock = 0.0, time[-1]
             for s, wanted in enumerate(self.load):
                 end = float(self.time[run, s])
                 if between is not None:

@@ -6,6 +6,7 @@ device, its mounting and its camera, and are not independent of each other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -73,6 +74,11 @@ class Tolerances:
                 raise InputError(f"tolerance of {name}", given, allowed, unit)
 
 
+def folded(orientation: float) -> float:
+    """The angle from 0 to pi, rad, at which gravity acts alike: by its cosine."""
+    return abs(math.remainder(orientation, 2 * math.pi))
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """One device, one run, one orientation: load steps in the order applied.
@@ -84,7 +90,7 @@ class Curve:
     run : int
         From 1; a repeated test of the same device has another number.
     orientation : float, rad
-        0 with gravity along -z, pi turned over.
+        0 with gravity along -z, pi turned over; kept between them, see `folded`.
     design : Design, Bulge or Tensile
         What was tested, as stated; its type is the kind of specimen.
     load : (s,) array
@@ -127,6 +133,7 @@ class Curve:
                 array = np.array(getattr(self, name), dtype=float)
                 array.setflags(write=False)
                 object.__setattr__(self, name, array)
+        object.__setattr__(self, "orientation", folded(self.orientation))
         object.__setattr__(self, "branch", np.array(self.branch, dtype="U9"))
         known = MEASURED[self.specimen]
         if not self.outputs or not set(self.outputs) <= set(known):

@@ -43,10 +43,22 @@ COMMON_CENTRE, COMMON_WIDTH = 0.05, 1.2
 """Amplitude of an effect that no hypothesis knows, share of a curve's maximum."""
 
 
-def smooth_kernel(place: Array, length: float = LENGTH) -> Array:
-    """Correlation (n, n) of smooth errors at places (n,): Matern 3/2."""
-    distance = math.sqrt(3) * np.abs(place[:, None] - place[None, :]) / length
-    kernel: Array = (1 + distance) * np.exp(-distance)
+def smooth_kernel(place: Array, path: Array, length: float = LENGTH) -> Array:
+    """Correlation (n, n) of smooth errors inside a curve: Matern 3/2.
+
+    Half of the variance goes with the load, as what a model lacks does, and half with
+    the way there: a camera that drifts does not come back with the load.
+
+    Parameters
+    ----------
+    place, path : (n,) arrays
+        See `Readings`.
+    length : float
+    """
+    kernel = np.zeros((len(place), len(place)))
+    for along in (place, path):
+        distance = math.sqrt(3) * np.abs(along[:, None] - along[None, :]) / length
+        kernel += 0.5 * (1 + distance) * np.exp(-distance)
     return kernel
 
 
@@ -59,6 +71,7 @@ _ARRAYS = (
     "stated",
     "device",
     "scale",
+    "path",
 )
 
 
@@ -74,16 +87,19 @@ class Readings:
     curve : (n,) array of int
         Readings whose smooth errors belong together: one quantity of one run.
     place : (n,) array
-        Along a curve, 0 to 1 of the common range of pressure.
+        Load over the largest one of all curves; below 0 under vacuum.
     noise : (n,) array
         Standard deviation of independent errors, stated or guessed; above 0.
     stated : (n,) array of bool
-        Whether `noise` is stated; a group with readings where it is not has a factor
-        that is inferred.
+        Whether `noise` is stated; where it is not, the readings of a group have one
+        factor that is inferred.  Alike for all readings of a curve.
     device : (n,) array of int
         Unit that is held out when predictions are judged.
     scale : (n,) array
         Largest magnitude of each reading's curve: the unit of smooth errors.
+    path : (n,) array, optional
+        Way along the curve from rest to the reading, in the unit of `place`, which it
+        is where it is not given: it grows on the way back, too.
     correlated : bool
         Whether there are smooth errors; False for bodies of independent points.
     """
@@ -96,15 +112,21 @@ class Readings:
     stated: Array
     device: Array
     scale: Array
+    path: Array = None  # type: ignore[assignment]  # `place` where not given
     correlated: bool = True
 
     def __post_init__(self) -> None:
         n = len(self.value)
+        if self.path is None:
+            object.__setattr__(self, "path", self.place)
         for name in _ARRAYS[1:]:
             if getattr(self, name).shape != (n,):
                 raise InputError(name, getattr(self, name).shape, f"shape {(n,)}")
         if not (np.isfinite(self.noise).all() and (self.noise > 0).all()):
             raise InputError("noise", float(np.min(self.noise)), "numbers above 0")
+        for curve in np.unique(self.curve):
+            if len(np.unique(self.stated[self.curve == curve])) > 1:
+                raise InputError("stated", "some", "all readings of a curve, or none")
         if not np.isfinite(self.value).all():
             raise InputError("value", "NaN", "finite numbers")
 
@@ -175,7 +197,8 @@ class Frame:
                 turn[at, at] = 1 / data.noise[at]
                 continue
             share = data.scale[at] / data.noise[at]
-            kernel = share[:, None] * smooth_kernel(data.place[at]) * share[None, :]
+            kernel = smooth_kernel(data.place[at], data.path[at])
+            kernel = share[:, None] * kernel * share[None, :]
             values, vectors = np.linalg.eigh(kernel)
             turn[np.ix_(at, at)] = vectors.T / data.noise[at][None, :]
             smooth[at] = np.maximum(values, 0.0)
@@ -242,13 +265,14 @@ class Covariance:
         groups = [int(g) for g in np.unique(frame.group)]
         amplitude = dict(zip(hyper.names, np.exp(eta), strict=True))
         self._hyper, self._groups = hyper, groups
+        self._open = ~frame.readings.stated
         self._noise2, self._smooth2 = (
             np.ones(len(frame.group)),
             np.zeros_like(frame.smooth),
         )
         for g in groups:
             at = frame.group == g
-            self._noise2[at] = amplitude.get(f"noise {g}", 1.0) ** 2
+            self._noise2[at & self._open] = amplitude.get(f"noise {g}", 1.0) ** 2
             self._smooth2[at] = (
                 amplitude.get(f"smooth {g}", 0.0) ** 2 * frame.smooth[at]
             )
@@ -315,5 +339,7 @@ class Covariance:
             else:
                 part = self._noise2 if kind == "noise" else self._smooth2
                 at = self._group == int(g)
+                if kind == "noise":
+                    at &= self._open
                 found.append(float(2 * part[at] @ by_diagonal[at]))
         return np.array(found)

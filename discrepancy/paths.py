@@ -13,7 +13,7 @@ from datagen.effects import Effect
 from datagen.specimens import Bulge, Tensile
 
 from .calibration import FIELDS
-from .measurement import Measurements
+from .measurement import Curve, Measurements
 from .prior import Prior
 from .solves import Solve, Solved, Values, values_of
 from .traits import Traits
@@ -22,6 +22,9 @@ Array = np.ndarray
 
 CONDITIONS = ("orientation",)
 """Effect parameters that the measurement states, curve by curve; never inferred."""
+
+RESTED = 1e5
+"""s.  Between runs whose clocks were started anew: a day."""
 
 Cells = Sequence[tuple[int, int, int]]
 """(curve, step, column) of readings."""
@@ -70,8 +73,8 @@ class Paths:
     ) -> tuple[tuple[float, ...], tuple[float, ...] | None, Array]:
         """Loads and times of a curve's path, and where its steps are among them.
 
-        Where an effect remembers, the path begins with the runs before it; else steps
-        are sorted, and solved once each.
+        Where an effect remembers, the path begins with the runs before it, vented in
+        between; else steps are sorted, and solved once each.
         """
         curve = self._measured[c]
         load = np.asarray(curve.load)
@@ -79,25 +82,12 @@ class Paths:
             before = [
                 other
                 for other in self._measured
-                if other.device == curve.device
-                and other.run < curve.run
-                and other.orientation == curve.orientation
+                if other.device == curve.device and other.run < curve.run
             ]
             before.sort(key=lambda other: other.run)
-            parts = [*(np.asarray(b.load) for b in before), load]
-            steps = sum(len(p) for p in parts)
-            at = np.arange(steps - len(load), steps)
-            times = [
-                t for t in (*(b.time for b in before), curve.time) if t is not None
-            ]
-            time: tuple[float, ...] | None = None
-            if len(times) == len(parts):
-                whole: list[float] = []
-                for t in times:  # clocks that were started anew run on
-                    late = whole[-1] + 1.0 - t[0] if whole and t[0] <= whole[-1] else 0
-                    whole += [float(x + late) for x in t]
-                time = tuple(whole)
-            return tuple(float(p) for p in np.concatenate(parts)), time, at
+            loads, times = _one_after_another([*before, curve])
+            at = np.arange(len(loads) - len(load), len(loads))
+            return tuple(loads), tuple(times) if times else None, at
         if (load < 0).any() or isinstance(curve.design, Tensile):
             return tuple(float(p) for p in load), None, np.arange(len(load))
         unique, at = np.unique(load, return_inverse=True)
@@ -199,3 +189,27 @@ class Paths:
             (c, int(steps[c][s]), solved[c].outputs.index(self._measured[c].outputs[m]))
             for c, s, m in cells
         ]
+
+
+def _one_after_another(runs: Sequence[Curve]) -> tuple[list[float], list[float]]:
+    """Loads and times of runs in turn, unloaded in between; no times where one lacks.
+
+    Unloading takes as long as a load step, and so does the first step of the next run;
+    the rest of the pause the specimen lies unloaded.
+    """
+    loads: list[float] = []
+    times: list[float] = []
+    for run in runs:
+        rest = 1.0 if isinstance(run.design, Tensile) else 0.0
+        timed = all(one.time is not None for one in runs)
+        clock = np.asarray(run.time if timed else np.arange(1.0, len(run.load) + 1))
+        if loads:
+            step = float(np.diff(clock).min()) if len(clock) > 1 else 1.0
+            late = times[-1] + RESTED - clock[0] if clock[0] <= times[-1] else 0.0
+            clock = clock + late
+            step = min(step, (clock[0] - times[-1]) / 3)
+            loads += [rest, rest]
+            times += [times[-1] + step, float(clock[0]) - step]
+        loads += [float(p) for p in run.load]
+        times += [float(t) for t in clock]
+    return loads, times if all(one.time is not None for one in runs) else []

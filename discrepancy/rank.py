@@ -27,6 +27,10 @@ Array = np.ndarray
 CURVED = 0.5
 """Departure from the nearest solve's tangent, in noise, that asks for another solve."""
 
+NEAR = 0.1
+"""Distance of a best fit from the nearest solve, in ranges, above which it is solved:
+far from all solves the interpolation and the tangent agree, and both may be wrong."""
+
 STRAIGHT = 1.0
 """Largest change, in noise, at which the tangent where an effect is off will do."""
 
@@ -175,7 +179,7 @@ class Search:
             wanted = [
                 one
                 for one, present in self._contenders(fits)
-                if self._curved(present, one.t)
+                if self._curved(one, present)
             ]
             if not wanted:
                 break
@@ -223,19 +227,22 @@ class Search:
         half: Array = (one.t + curves.nodes[int(np.argmin(gap))]) / 2
         return half
 
-    def _curved(self, hypothesis: Present, t: Array) -> bool:
-        """Whether the interpolated curves at t are more than the nearest tangent."""
-        curves = hypothesis.curves
-        if curves.distance(t) < 1e-3:
+    @staticmethod
+    def _curved(one: Fit, hypothesis: Present) -> bool:
+        """Whether the curves at a best fit are not known yet."""
+        curves, t = hypothesis.curves, one.t
+        gap = np.abs((curves.nodes - t) / curves.span).max(axis=1)
+        at = int(np.argmin(gap))
+        if gap[at] < 1e-3:
             return False
         if len(curves.nodes) == 1:  # a tangent, which knows nothing of its bend
             moved = curves.many(t[None, :])[0] - curves.values[0]
-            return bool(np.abs(moved / self.study.readings.noise).max() > STRAIGHT)
-        gap = np.abs((curves.nodes - t) / curves.span).max(axis=1)
-        at = int(np.argmin(gap))
+            return bool(np.abs(moved / one.noise).max() > STRAIGHT)
+        if gap[at] > NEAR:
+            return True
         slopes = np.nan_to_num(curves.slopes[at])
         line = curves.values[at] + slopes @ (t - curves.nodes[at])
-        lack = np.abs(curves.many(t[None, :])[0] - line) / self.study.readings.noise
+        lack = np.abs(curves.many(t[None, :])[0] - line) / one.noise
         unknown_slope = not np.isfinite(curves.slopes[at]).all()
         return bool(lack.max() > CURVED) and (not unknown_slope or gap[at] > 0.02)
 

@@ -8,6 +8,7 @@ possible is a warning.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -42,6 +43,10 @@ from .table import (
 LARGEST_RISE = 3.0
 """Largest inflation over the shorter side of a balloon or hole.  At its limit pressure
 a balloon is about a hemisphere, 0.5; beyond it soft balloons reach some 2."""
+
+LARGEST_STD = 3.0
+"""Largest standard deviation over the largest reading of a device: a quantity that is
+less certain than that was not measured, or is in another unit."""
 
 LEAST_DIP = 20e-6
 """m.  A roof lower than at rest by more than this, and by three standard deviations,
@@ -130,7 +135,7 @@ def _measurements(
             f"{short(places[0])}: {word!r} is taken for a missing reading"
             + (f", and {len(places) - 1} times more" if len(places) > 1 else "")
         )
-    devices = _devices(readings, complaints)
+    devices = _devices(readings, complaints, warnings)
     complaints.settle()
     curves = []
     for name, device in devices.items():
@@ -181,19 +186,11 @@ def _design(specimen: str, stated: dict[str, float | str]) -> Design | Bulge | T
     """The design of a device; an `InputError` where it cannot be."""
     if specimen == "actuator":
         return Design(**stated)  # type: ignore[arg-type]
-    sides = [side for side in ("upper", "lower") if f"{side}_modulus" in stated]
-    if len(sides) == 2:
-        raise InputError(
-            "lower_modulus_MPa",
-            float(stated["lower_modulus"]) / 1e6,
-            f"nothing beside upper_modulus_MPa: a {specimen} specimen is of one layer",
-            "MPa",
-        )
-    side = sides[0]
+    side = _layer(stated)
     modulus = float(stated[f"{side}_modulus"])
     if specimen == "tensile":
         return Tensile(modulus, str(stated["mode"]), side)
-    if f"{side}_thickness" not in stated or len(stated) > 4:
+    if f"{side}_thickness" not in stated:
         raise InputError(
             f"{side}_modulus_MPa",
             modulus / 1e6,
@@ -209,7 +206,20 @@ def _design(specimen: str, stated: dict[str, float | str]) -> Design | Bulge | T
     )
 
 
-def _devices(readings: list[Reading], complaints: Complaints) -> dict[str, _Device]:
+def _layer(stated: Mapping[str, object]) -> str:
+    """The layer that a specimen is of: the upper one where both are stated."""
+    whole = [
+        side
+        for side in ("upper", "lower")
+        if f"{side}_modulus" in stated
+        and (f"{side}_thickness" in stated or "balloon_length" not in stated)
+    ]
+    return whole[0] if whole else "upper" if "upper_modulus" in stated else "lower"
+
+
+def _devices(
+    readings: list[Reading], complaints: Complaints, warnings: list[str]
+) -> dict[str, _Device]:
     """Devices in order of appearance, each with its readings by run and orientation."""
     devices: dict[str, _Device] = {}
     for reading in readings:
@@ -222,6 +232,12 @@ def _devices(readings: list[Reading], complaints: Complaints) -> dict[str, _Devi
                 device.design = _design(reading.specimen, stated)
             except InputError as error:
                 complaints.add(row.place, str(error))
+            both = stated.get("lower_modulus"), stated.get("upper_modulus")
+            if reading.specimen != "actuator" and None not in both:
+                warnings.append(
+                    f"{short(row.place)}: specimen {reading.device!r} states both "
+                    f"layers; it is taken for one of the {_layer(stated)} layer"
+                )
         elif reading.specimen != device.specimen:
             complaints.add(
                 row.where("specimen"),
@@ -281,6 +297,7 @@ def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) 
     if device.design is None:
         return
     limits = _limits(device.design)
+    _check_stds(device, complaints)
     for reading in (one for rows in device.curves.values() for one in rows):
         row = reading.row
         for quantity, (lower, upper, why) in limits.items():
@@ -296,6 +313,23 @@ def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) 
             )
 
 
+def _check_stds(device: _Device, complaints: Complaints) -> None:
+    """Stated noise against the largest reading of its quantity."""
+    readings = [one for rows in device.curves.values() for one in rows]
+    for quantity in MEASURED[device.specimen]:
+        top = max((abs(one.get(quantity, 0.0)) for one in readings), default=0.0)
+        field = f"{quantity}_std"
+        why = (
+            f"{LARGEST_STD:g} times the largest {NUMBERS[quantity].name} of the device"
+        )
+        for reading in readings:
+            if top > 0 and field in reading.numbers:
+                std = reading.get(field)
+                wrong = refusal(field, std, 0.0, LARGEST_STD * top, why)
+                if wrong:
+                    complaints.add(reading.row.where(field), wrong)
+
+
 # -- curves ----------------------------------------------------------------------------
 
 
@@ -309,6 +343,7 @@ def _curve(
 ) -> Curve | None:
     """One curve; None where it has no value, or a problem that was complained about."""
     before = len(complaints.problems)
+    turned = _find_unloading(rows)
     for check in (_check_order, _check_times, _check_repeats):
         check(name, key[0], rows, complaints)
     outputs = tuple(
@@ -322,6 +357,11 @@ def _curve(
     if not outputs:
         warnings.append(f"{prefix}run {key[0]} has no measured value and is left out")
         return None
+    if turned is not None:
+        warnings.append(
+            f"{prefix}run {key[0]}: no branch is given; from {turned.row.line} on, "
+            "where the load falls, it is taken for unloading"
+        )
     warnings += [prefix + text for text in _odd_steps(key[0], rows)]
     timed = "time" in rows[0].numbers
     return Curve(
@@ -336,6 +376,35 @@ def _curve(
         values=np.array([[one.get(q) for q in outputs] for one in rows]),
         std=np.array([[one.get(f"{q}_std") for q in outputs] for one in rows]),
     )
+
+
+def _sizes(rows: list[Reading]) -> np.ndarray:
+    """(s,) distance of the loads from rest: into vacuum, loading lowers a pressure."""
+    rest = 1.0 if rows[0].specimen == "tensile" else 0.0
+    return np.abs(np.array([reading.load for reading in rows]) - rest)
+
+
+def _find_unloading(rows: list[Reading]) -> Reading | None:
+    """Let rows without a branch, whose loads rise and then fall, be both.
+
+    Returns
+    -------
+    Reading or None
+        The first of the unloading rows, where there are any.
+    """
+    size = _sizes(rows)
+    top = int(np.argmax(size))
+    steps = np.diff(size)
+    if any("branch" in reading.row.texts for reading in rows):
+        return None
+    # One row that goes back may as well be one too many.
+    if not 0 < top < len(rows) - 2 or (steps[:top] <= 0).any():
+        return None
+    if (steps[top:] >= 0).any():
+        return None
+    for reading in rows[top + 1 :]:
+        reading.branch = UNLOADING
+    return rows[top + 1]
 
 
 def _check_order(
@@ -396,7 +465,8 @@ def _check_repeats(
                 reading.row.place,
                 f"{_shown(kind, reading.load)}, {reading.branch}, of device {name!r}, "
                 f"run {run} is there already in {first.row.line}; allowed: one row a "
-                "load step; number repeated tests in the column 'run'",
+                "load step; number repeated tests in the column 'run', and give the "
+                "way back the branch 'unloading'",
             )
 
 
@@ -407,9 +477,7 @@ def _odd_steps(run: int, rows: list[Reading]) -> list[str]:
         odd.append(f"run {run} has no loading branch: the highest load is not known")
     for branch, way in ((LOADING, "falls"), (UNLOADING, "rises")):
         steps = [reading for reading in rows if reading.branch == branch]
-        # Into vacuum, loading lowers the pressure; in compression, the stretch.
-        start = 1.0 if rows[0].specimen == "tensile" else 0.0
-        size = [abs(reading.load - start) for reading in steps]
+        size = _sizes(steps) if steps else np.zeros(0)
         for reading, last, here in zip(steps[1:], size, size[1:], strict=False):
             if (here < last) if branch == LOADING else (here > last):
                 odd.append(

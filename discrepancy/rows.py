@@ -10,8 +10,11 @@ import numpy as np
 from datagen.specimens import MODES
 
 from .columns import DESIGN_NAMES, NUMBERS, QUANTITY_NAMES, refusal
-from .measurement import LOADING, MEASURED, SPECIMENS, UNLOADING
+from .measurement import LOADING, MEASURED, SPECIMENS, UNLOADING, folded
 from .table import MISSING, NUMBER, Complaints, Row, Table
+
+WALL = 0.2e-3
+"""m.  Wall of an undivided device, which has none: any will do."""
 
 
 @dataclass
@@ -36,7 +39,8 @@ class Reading:
 def needed(specimen: str) -> tuple[tuple[str, ...], ...]:
     """Fields that a specimen's rows must have; one of each group."""
     if specimen == "actuator":
-        return (*((name,) for name in DESIGN_NAMES), ("pressure",))
+        names = (name for name in DESIGN_NAMES if name != "wall")  # see `_wall`
+        return (*((name,) for name in names), ("pressure",))
     if specimen == "bulge":
         return (
             ("balloon_length",),
@@ -107,7 +111,27 @@ def _number(
     if wrong:
         complaints.add(row.where(name), wrong)
         return None
+    if name == "orientation":
+        value = folded(value)
     return float(round(value)) if column.whole else value
+
+
+def _wall(
+    row: Row, table: Table, numbers: dict[str, float], complaints: Complaints
+) -> float | None:
+    """Wall between two balloons, which an undivided device need not state."""
+    text = row.texts.get("wall", "")
+    undivided = numbers.get("divisions_x") == numbers.get("divisions_y") == 1
+    empty = text.lower() in MISSING or not text.strip("0.,")
+    if empty and undivided:
+        return WALL
+    if text:
+        return _number(row, "wall", text, table, complaints)
+    complaints.add(
+        row.place,
+        "wall_mm: nothing is not allowed; allowed: a number where a device is divided",
+    )
+    return None
 
 
 def read_row(
@@ -119,10 +143,13 @@ def read_row(
         complaints.add(row.place, "device: nothing is not allowed; allowed: a name")
     specimen = _word(row, "specimen", SPECIMENS, "actuator", complaints)
     branch = _word(row, "branch", (LOADING, UNLOADING), LOADING, complaints)
-    mode = _word(row, "mode", MODES, MODES[0], complaints)
-    numbers = {}
+    mode = MODES[0]
+    if specimen == "tensile":
+        mode = _word(row, "mode", MODES, mode, complaints)
+    numbers: dict[str, float] = {}
+    used = {name for group in needed(specimen) for name in group}
     for name, text in row.texts.items():
-        if name not in NUMBERS:
+        if name not in NUMBERS or (name in DESIGN_NAMES and name not in used):
             continue
         reading = name in QUANTITY_NAMES or name.endswith("_std")
         if reading and text.lower() in MISSING:
@@ -131,6 +158,8 @@ def read_row(
         value = _number(row, name, text, table, complaints)
         if value is not None:
             numbers[name] = value
+    if specimen == "actuator" and (wall := _wall(row, table, numbers, complaints)):
+        numbers["wall"] = wall
     for group in needed(specimen):
         if not any(name in row.texts for name in group):
             names = " or ".join(NUMBERS[name].name for name in group)

@@ -169,13 +169,13 @@ class Study:
     def _readings(self) -> Readings:
         curves = self.measurements.curves
         kinds: dict[tuple[str, str], int] = {}
-        groups, curve_of, places, noise, stated, devices, scales, values = (
-            [] for _ in range(8)
+        groups, curve_of, places, ways, noise, stated, devices, scales, values = (
+            [] for _ in range(9)
         )
         top = {
             tensile: max(
                 (
-                    float(self._reach(c).max())
+                    float(np.abs(self._reach(c)).max())
                     for c in curves
                     if self._pulled(c) == tensile
                 ),
@@ -195,7 +195,9 @@ class Study:
             kind = (curve.specimen, curve.outputs[m])
             groups.append(kinds.setdefault(kind, len(kinds)))
             curve_of.append(1000 * c + m)
-            places.append(self._reach(curve)[s] / top[self._pulled(curve)])
+            reach = self._reach(curve) / top[self._pulled(curve)]
+            places.append(reach[s])
+            ways.append(np.abs(np.diff(reach[: s + 1], prepend=0.0)).sum())
             given = curve.std[s, m]
             stated.append(bool(np.isfinite(given)))
             noise.append(given)
@@ -204,7 +206,13 @@ class Study:
             values.append(curve.values[s, m])
         self.kinds = tuple(kinds)
         group, scale = np.array(groups), np.array(scales)
+        own = np.array(curve_of)
         std, is_stated = np.array(noise, dtype=float), np.array(stated)
+        for one in np.unique(own):  # a blank among those of its curve is like them
+            at = own == one
+            if is_stated[at].any():
+                std[at & ~is_stated] = float(np.median(std[at & is_stated]))
+                is_stated[at] = True
         self.repeats = noise_from_repeats(self.measurements)
         for kind, g in kinds.items():
             at = group == g
@@ -220,8 +228,9 @@ class Study:
         return Readings(
             value=np.array(values),
             group=group,
-            curve=np.array(curve_of),
+            curve=own,
             place=np.array(places),
+            path=np.array(ways),
             noise=std,
             stated=is_stated,
             device=np.array(devices),
@@ -233,18 +242,25 @@ class Study:
         return isinstance(curve.design, Tensile)
 
     def _reach(self, curve: Curve) -> Array:
-        """(s,) distance from rest: pressure, or stretch less one."""
-        reach: Array = np.abs(curve.load - 1.0 if self._pulled(curve) else curve.load)
+        """(s,) distance from rest, signed: pressure, or stretch less one."""
+        reach: Array = curve.load - 1.0 if self._pulled(curve) else curve.load
         return reach
 
     # -- solves --------------------------------------------------------------------
 
     def blind(self, name: str) -> str:
         """Why these readings cannot show an effect, empty where they may."""
-        timeless = all(curve.time is None for curve in self.measurements.curves)
-        if timeless and self.paths.traits.timed(name):
+        curves = self.measurements.curves
+        timeless = [curve for curve in curves if curve.time is None]
+        if not timeless or not self.paths.traits.timed(name):
+            return ""
+        if len(timeless) == len(curves):
             return "it depends on time, and no reading has one (column time_s)"
-        return ""
+        first = timeless[0]
+        return (
+            f"it depends on time, and device {first.device}, run {first.run}, has none "
+            "(column time_s)"
+        )
 
     def priors(self, names: Sequence[str]) -> tuple[Prior, ...]:
         """Priors of the parameters of some effects, named ``effect.parameter``."""

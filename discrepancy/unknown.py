@@ -39,7 +39,7 @@ def shapes_of(readings: Readings, designs: Sequence[object]) -> tuple[Array, ...
         at = np.flatnonzero(readings.group == g)
         apart = ((spots[at][:, None] - spots[at][None]) ** 2).sum(axis=2)
         alike = 0.5 + 0.5 * np.exp(-0.5 * apart / ALIKE**2)
-        kernel = smooth_kernel(readings.place[at], 1.0) * alike
+        kernel = smooth_kernel(readings.place[at], readings.path[at], 1.0) * alike
         kernel = kernel * readings.scale[at][:, None] * readings.scale[at][None]
         values, vectors = np.linalg.eigh(kernel)
         keep = values > 1e-4 * values.max()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datagen.units import PRESSURE
 
 from .columns import NUMBERS
-from .judging import SEPARATED, Candidate, Ranking
+from .judging import CLAIM, SEPARATED, Candidate, Ranking
 from .study import Study
 
 BENCH = {
@@ -239,6 +239,14 @@ def _sentences(ranking: Ranking, next_measurement: str) -> Iterator[str]:
             "Adequate: the baseline explains these readings within their errors; "
             f"nothing has to be missing (probability {percent(nothing)})."
         )
+        named = [one for one in ranking.candidates if one.effects and not one.unnamed]
+        best = max(named, key=lambda one: one.probability, default=None)
+        if best is not None and best.probability > nothing:
+            yield (
+                f"An effect of {in_words(best.name)} is more probable "
+                f"({percent(best.probability)}), but something is said to be missing "
+                f"only where nothing missing has at most {percent(CLAIM)}."
+            )
     elif ranking.verdict == "identified":
         best = ranking.candidate(ranking.effects[0])
         yield (

@@ -61,7 +61,7 @@ def rank(
     measured = measurements_of(
         file, modulus_tolerance, thickness_tolerance, camera_tolerance
     )
-    names = [name for name in effects.split(",") if name] or None
+    names = [name.strip() for name in effects.split(",") if name.strip()] or None
     with solving(workers, cache, as_json) as solver:
         found = ranked(
             measured,

@@ -45,7 +45,14 @@ class Ranked:
 
     @property
     def warnings(self) -> list[str]:
-        return [*self.study.measurements.warnings, *self.ranking.warnings]
+        found = [*self.study.measurements.warnings, *self.ranking.warnings]
+        if self.ranking.verdict == "adequate" and self.compared.fails_where:
+            found.append(
+                "the test of the residuals finds places where the model fails (p-value "
+                f"{self.compared.p_value:.2g}), and the odds do not: more readings "
+                "would settle it"
+            )
+        return found
 
     @property
     def fails_where(self) -> list[str]:

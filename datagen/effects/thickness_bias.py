@@ -27,15 +27,16 @@ CAST = (
 def thickness_bias(
     problem: Problem, upper: float, lower: float, gradient: float
 ) -> Problem:
-    """Membrane thickness t_k (1 + b_k + g (x/L - 1/2)) of layer k.
+    """Membrane thickness t_k (1 + b_k + g x/L) of layer k.
 
-    b_u = upper, b_l = lower, g = gradient: the difference between tip and clamp over
-    the nominal thickness, which leaves the mean as it is.  The cavity's height stays.
-    The effect moves nodes, with the same topology.
+    b_u = upper, b_l = lower, at the clamp; g = gradient: the difference between tip and
+    clamp over the nominal thickness.  The cavity's height stays.  A gradient across the
+    strip turns it sideways, which the half model does not show.  The effect moves
+    nodes, with the same topology.
     """
     design = problem.design
     x, _, z = problem.mesh.nodes.T
-    slope = gradient * (x / design.length - 0.5)
+    slope = gradient * x / design.length
     floor, roof = design.lower_thickness, design.lower_thickness + design.cavity_height
     nodes = problem.nodes.copy()
     nodes[:, 2] += np.minimum(z, floor) * (lower + slope)

@@ -64,7 +64,7 @@ def test_a_thicker_roof_on_another_mesh(plain: Array) -> None:
     assert exponent == pytest.approx([-1.56, -0.61], abs=0.03)
 
 
-def test_a_gradient_keeps_the_mean_and_the_cavity() -> None:
+def test_a_gradient_begins_at_the_clamp_and_keeps_the_cavity() -> None:
     design = named_device()
     nodes = problem({"thickness_bias": {"gradient": 0.1}}).nodes
     mesh = baseline(design, mesh_level("draft")).mesh
@@ -83,8 +83,8 @@ def test_a_gradient_keeps_the_mean_and_the_cavity() -> None:
         return np.array(np.polynomial.polynomial.polyfit(x / design.length, height, 1))
 
     floor, roof, top = (profile(name) for name in rows)
-    assert floor == pytest.approx(140 * UM * np.array([0.95, 0.1]), rel=1e-9)
-    assert top - roof == pytest.approx(95 * UM * np.array([0.95, 0.1]), rel=1e-9)
+    assert floor == pytest.approx(140 * UM * np.array([1.0, 0.1]), rel=1e-9)
+    assert top - roof == pytest.approx(95 * UM * np.array([1.0, 0.1]), rel=1e-9)
     assert roof - floor == pytest.approx([75 * UM, 0.0], abs=1e-15)
 
 

@@ -86,9 +86,10 @@ def test_calibrations_are_integrated_out() -> None:
         curve=np.repeat([0, 1, 2, 3], 6),
         place=np.tile(np.linspace(0.1, 1, 6), 4),
         noise=rng.uniform(0.5, 2.0, n),
-        stated=np.zeros(n, dtype=bool),
+        stated=np.repeat([False, True, False, True], 6),
         device=np.tile(np.repeat([0, 1], 6), 2),
         scale=np.repeat([3.0, 4.0, 5.0, 6.0], 6),
+        path=np.tile(np.linspace(0.1, 2, 6), 4),
     )
     frame = Frame(readings)
     hyper = frame.hyper(common=True)
@@ -110,12 +111,14 @@ def test_calibrations_are_integrated_out() -> None:
     dense = columns @ columns.T
     for g in (0, 1):
         at = readings.group == g
-        dense += np.diag(at * (size[f"noise {g}"] * readings.noise) ** 2)
+        factor = np.where(readings.stated, 1.0, size[f"noise {g}"])
+        dense += np.diag(at * (factor * readings.noise) ** 2)
         dense += size[f"common {g}"] ** 2 * shapes[g] @ shapes[g].T
     for c in range(4):
         at = np.flatnonzero(readings.curve == c)
         g = readings.group[at[0]]
-        block = smooth_kernel(readings.place[at]) * readings.scale[at[0]] ** 2
+        kernel = smooth_kernel(readings.place[at], readings.path[at])
+        block = kernel * readings.scale[at[0]] ** 2
         dense[np.ix_(at, at)] += size[f"smooth {g}"] ** 2 * block
     y = readings.value
     r = frame.turn @ y

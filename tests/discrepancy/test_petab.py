@@ -268,7 +268,8 @@ REFUSED: dict[str, tuple[str, str, int, dict[str, str], str]] = {
         4,
         {"simulationConditionId": "at10"},
         "pressure_kPa: 10 kPa, loading, of device 'S1', run 1 is there already in line "
-        "2; allowed: one row a load step; number repeated tests in the column 'run'",
+        "2; allowed: one row a load step; number repeated tests in the column 'run', "
+        "and give the way back the branch 'unloading'",
     ),
 }
 
@@ -313,7 +314,9 @@ def test_missing_tables_and_files(tmp_path: Path) -> None:
 def test_missing_columns_are_named(tmp_path: Path) -> None:
     tables = version_1()
     for row in tables["conditions"]:
-        del row["wall_mm"], row["device"]
+        del row["cavity_height_um"], row["device"]
     path = folder(tmp_path / "petab", tables)
-    with pytest.raises(MeasurementError, match=r"missing 2 columns: device, wall_mm$"):
+    with pytest.raises(
+        MeasurementError, match=r"missing 2 columns: device, cavity_height_um$"
+    ):
         read_petab(path)

@@ -79,6 +79,16 @@ def test_the_share_is_one_for_what_is_right() -> None:
     assert explained(nothing, nothing) == 0.0
 
 
+def test_errors_of_hypotheses_are_over_one_noise() -> None:
+    """Where none is stated, each infers its own, and what fits badly a large one."""
+    nowhere = np.zeros(len(DEVICE), dtype=bool)
+    found = fits(replace(readings(0.3), stated=nowhere, correlated=False))
+    right, nothing = found["right"], found["nothing"]
+    assert nothing.noise[0] > 2 * right.noise[0]
+    assert explained(right, nothing) == pytest.approx(1.0, abs=0.1)
+    assert held_out(nothing, right.noise) > 2 * held_out(right)
+
+
 def test_what_explains_little_loses_its_probability_to_what_has_no_name() -> None:
     found = judged(readings(0.3))
     assert found["wrong"].fit.amplitude("smooth")[0] > LARGE_SMOOTH

@@ -87,6 +87,40 @@ def test_pressure_loss_and_common_modulus_are_tied_until_a_strip_is_pulled(
     assert (split.verdict, split.effects) == ("identified", ("pressure_loss",))
 
 
+def test_strips_alone_are_ranked_and_what_splits_them_is_proposed(cache: Path) -> None:
+    """No device is needed to learn of a material's law."""
+    gent = Model(
+        ("strain_stiffening",), "draft", {"strain_stiffening": {"inverse_limit": 0.1}}
+    )
+    stretch = np.linspace(1.1, 1.9, 9)
+    rng = np.random.default_rng(1)
+    std = np.full((len(stretch), 1), 5e3)
+    strips = tuple(
+        Curve(
+            device=f"T{i}",
+            run=1,
+            orientation=0.0,
+            design=Tensile(1.5e6),
+            load=stretch,
+            time=None,
+            branch=np.full(len(stretch), "loading"),
+            outputs=("stress",),
+            values=gent.tensile(Tensile(1.5e6), stretch)[:, None]
+            + std * rng.normal(size=std.shape),
+            std=std,
+        )
+        for i in (1, 2)
+    )
+    laws = ("modulus_bias", "mooney", "strain_stiffening", "yeoh")
+    study, ranking = searched(strips, cache, laws)
+    assert "strain_stiffening" in ranking.effects
+    found = next_measurement(study, ranking)
+    assert found and all(isinstance(one.curve.design, Tensile) for one in found)
+    words = [one.words for one in found]
+    assert any("T1 in equibiaxial tension" in text for text in words)
+    assert found[0].then > found[0].now
+
+
 def test_an_effect_of_the_users_own_is_named(tmp_path: Path, cache: Path) -> None:
     """The effect of docs/writing-an-effect.md, as it stands there."""
     text = (ROOT / "docs/writing-an-effect.md").read_text()

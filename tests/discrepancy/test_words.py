@@ -138,7 +138,11 @@ def test_adequate_and_unexplained() -> None:
     ranking = ranked()[1]
     adequate = replace(ranking, verdict="adequate", candidates=nudged("nothing", 0.9))
     assert "Adequate" in verdict(adequate)
-    assert "(probability 90 %)" in verdict(adequate)
+    assert verdict(adequate).endswith("(probability 90 %).")
+    doubtful = replace(
+        ranking, verdict="adequate", candidates=nudged("cure_mismatch", 0.93)
+    )
+    assert "An effect of cure_mismatch is more probable (93.0 %)" in verdict(doubtful)
     unexplained = replace(
         ranking, verdict="unexplained", candidates=nudged("unknown", 0.85)
     )

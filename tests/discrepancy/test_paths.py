@@ -1,0 +1,70 @@
+"""Measured curves as load paths: what came before them, and when."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from datagen.device import named_device
+from datagen.effects import catalogue
+from discrepancy.measurement import Curve, Measurements
+from discrepancy.paths import RESTED, Paths
+from discrepancy.solves import Solver
+from discrepancy.study import Study
+
+LOAD = np.array([10e3, 20e3, 10e3])
+FIRST = Curve(
+    device="A",
+    run=1,
+    orientation=0.0,
+    design=named_device("S1"),
+    load=LOAD,
+    time=np.array([10.0, 20.0, 30.0]),
+    branch=np.array(["loading", "loading", "unloading"]),
+    outputs=("inflation",),
+    values=np.ones((3, 1)),
+    std=np.ones((3, 1)),
+)
+SECOND = replace(FIRST, run=2, time=np.array([100.0, 110.0, 120.0]))
+
+
+def paths(*curves: Curve) -> Paths:
+    return Paths(Measurements(curves), catalogue(), None)
+
+
+def test_runs_follow_each_other_unloaded_in_between() -> None:
+    load, time, at = paths(FIRST, SECOND).load(1, ("viscoelasticity",))
+    assert load == (10e3, 20e3, 10e3, 0.0, 0.0, 10e3, 20e3, 10e3)
+    assert time == (10, 20, 30, 40, 90, 100, 110, 120)
+    assert list(at) == [5, 6, 7]
+
+
+def test_a_clock_that_was_started_anew_means_a_long_rest() -> None:
+    again = replace(SECOND, time=FIRST.time)
+    load, time, _ = paths(FIRST, again).load(1, ("viscoelasticity",))
+    assert time is not None
+    assert load[3:5] == (0.0, 0.0)
+    assert time[5] - time[2] == RESTED
+    assert list(np.diff(time[5:])) == [10.0, 10.0]
+    assert (np.diff(time) > 0).all()
+
+
+def test_a_device_that_was_turned_over_remembers_all_the_same() -> None:
+    over = replace(SECOND, orientation=np.pi)
+    assert len(paths(FIRST, over).load(1, ("mullins",))[0]) == 8
+    assert len(paths(FIRST, over).load(1, ("yeoh",))[0]) == 2
+
+
+def test_runs_without_times_are_in_turn_too() -> None:
+    load, time, at = paths(FIRST, replace(SECOND, time=None)).load(1, ("mullins",))
+    assert load[3:5] == (0.0, 0.0) and time is None and list(at) == [5, 6, 7]
+
+
+def test_effects_of_time_need_a_time_in_every_curve(tmp_path: Path) -> None:
+    other = replace(FIRST, device="B", time=None)
+    measured, solver = Measurements((FIRST, other)), Solver(1, tmp_path)
+    study = Study(measured, solver, level="draft", effects=("yeoh",))
+    assert "device B, run 1, has none" in study.blind("viscoelasticity")
+    assert study.blind("mullins") == ""
