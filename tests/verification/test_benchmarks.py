@@ -11,7 +11,7 @@ from . import bodies
 from . import closed_forms as exact
 from .benchmarks import BENCHMARKS, BOUND, follow, run
 
-QUICK = ("tube", "strip", "following", "bimorph")
+QUICK = ("tube", "strip", "bimorph")
 """Benchmarks whose fine mesh is cheap; ``make verification`` does all of them."""
 
 
