@@ -48,7 +48,7 @@ docs: $(TESTABLE) ## measure again every number that the documents quote
 	$(BIN)/python docs/measure.py
 
 verification: $(TESTABLE) ## run every benchmark, break the solver on purpose, write it down
-	$(BIN)/python -m docs.verify
+	$(BIN)/python -m docs.verify $(if $(ONLY),--only $(ONLY))
 
 figures: $(TESTABLE) ## draw the pictures of the README again
 	$(BIN)/python -m examples.readme_figures

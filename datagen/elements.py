@@ -33,6 +33,20 @@ nu = 0.48) the cases seen then were cured, and the answer on the standard mesh m
 less than its own error; on refinement the share makes no difference.
 """
 
+LOCAL_SHEAR = 0.5
+"""Largest a K over the shear modulus.  More locks: no element can follow J point by
+point, so at K/mu of a thousand a constant share makes coarse meshes too stiff."""
+
+
+def local_share(shear: Array, bulk: Array) -> float:
+    """`LOCAL_SHARE`, or less for a body stiffer in volume than at nu = 0.48.
+
+    Parameters
+    ----------
+    shear, bulk : (e,) array, Pa
+    """
+    return min(LOCAL_SHARE, float((LOCAL_SHEAR * shear / bulk).min()))
+
 
 @dataclass(frozen=True)
 class ElementData:

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .device import POISSON, Design
-from .elements import LOCAL_SHARE
+from .elements import LOCAL_SHARE, local_share
 from .materials import Hyperelastic, Law
 from .mesh import UPPER, Mesh, MeshLevel, StripMesh, build_mesh
 from .surfaces import Skin, Springs
@@ -80,7 +80,7 @@ class Body:
     forces : (n, 3) array, N, or None
         Dead loads on the nodes, there from the start.
     local_share : float
-        Of the volumetric energy that is not projected, see `elements.LOCAL_SHARE`;
+        Of the volumetric energy that is not projected, see `elements.local_share`;
         1 gives elements of displacements alone.
     springs : tuple of Springs
         Elastic supports.
@@ -185,4 +185,5 @@ def baseline(design: Design, level: MeshLevel, like: Problem | None = None) -> P
         density=np.zeros(len(mesh.cells)),
         gravity=np.zeros(3),
         fixed=fixed,
+        local_share=local_share(shear, bulk),
     )

@@ -10,7 +10,7 @@ from scipy.sparse.linalg import eigsh
 from datagen.cavity import cavity, cavity_rates, face_tensor
 from datagen.deflated import Deflated
 from datagen.device import named_device
-from datagen.elements import element_data
+from datagen.elements import LOCAL_SHARE, element_data, local_share
 from datagen.equilibrium import Equilibrium, InvertedElement, Workspace
 from datagen.linear import BACKENDS, SuperLU, make_solver
 from datagen.mesh import mesh_level
@@ -28,6 +28,14 @@ def problem() -> Problem:
 @pytest.fixture(scope="module")
 def equations(problem: Problem) -> Equilibrium:
     return Equilibrium(problem, Workspace())
+
+
+def test_the_local_share_is_at_most_half_a_shear_modulus(problem: Problem) -> None:
+    """And that of devices is the constant, to the last bit."""
+    assert problem.local_share == LOCAL_SHARE
+    shear, bulk = np.array([2.0, 2.0]), np.array([50.0, 2000.0])
+    assert local_share(shear[:1], bulk[:1]) == LOCAL_SHARE
+    assert local_share(shear, bulk) == 0.5 / 1000
 
 
 def full(equations: Equilibrium, data: Array) -> csr_matrix:

@@ -7,12 +7,17 @@ planes of symmetry hold the displacement across them.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from datagen.bricks import Brick, brick, closed, fan, merge, rim
+from datagen.elements import local_share
 from datagen.materials import Energy, Hyperelastic, NeoHookean
-from datagen.mesh import LOWER, UPPER, Mesh, graded, reference
+from datagen.mesh import LOWER, UPPER, Mesh, graded
 from datagen.problem import Body
+
+from .following import end_load
 
 Array = np.ndarray
 
@@ -42,6 +47,7 @@ def body(
         gravity=np.zeros(3),
         fixed=fixed,
         forces=forces,
+        local_share=local_share(shear, bulk * shear),
     )
 
 
@@ -185,18 +191,13 @@ def plate(
     return body(mesh, fixed, thickness, 2 * (1 + poisson) / (3 * (1 - 2 * poisson)))
 
 
-def cantilever(
-    slenderness: float,
-    along: int,
-    load: float,
-    through: int = 1,
-    poisson: float = 0.48,
-) -> Body:
-    """Half (y > 0) of a beam of length 1 and square section under a dead end load.
+def beam(
+    slenderness: float, along: int, through: int = 1, poisson: float = 0.48
+) -> tuple[Body, Brick]:
+    """Half (y > 0) of a cantilever of length 1 and square section, without a load.
 
-    The load acts along +z, spread evenly over the end; `load` is P L^2/EI of the whole
-    beam.  The root holds x alone, y by symmetry and z on the middle line: the section
-    is free to narrow, as in beam theory.
+    The root holds x alone, y by symmetry and z on the middle line: the section is free
+    to narrow, as in beam theory.
     """
     h = 1 / slenderness
     part = brick(
@@ -207,15 +208,18 @@ def cantilever(
     nodes = part.nodes
     fixed = hold_symmetry(nodes, 0, 1)
     fixed[at(nodes, 0, 0.0) & (np.abs(nodes[:, 2]) < 1e-3 * h), 2] = True
-    modulus = 2 * (1 + poisson)
-    total = load * modulus * h**4 / 12 / 2
-    forces = np.zeros(nodes.shape)
-    share = reference().face_weight @ reference().face_shape
-    for face in part.sides[0, 1]:
-        forces[face, 2] += total * share / len(part.sides[0, 1])
-    bulk = modulus / (3 * (1 - 2 * poisson))
+    bulk = 2 * (1 + poisson) / (3 * (1 - 2 * poisson))
     none = np.zeros((0, 9), dtype=np.int64)
-    return body(closed(part, none), fixed, h, bulk, forces=forces)
+    return body(closed(part, none), fixed, h, bulk), part
+
+
+def cantilever(
+    slenderness: float, along: int, load: float, through: int = 1, poisson: float = 0.48
+) -> Body:
+    """The beam under a dead end load P L^2/EI along +z, spread evenly over the end."""
+    bare, part = beam(slenderness, along, through, poisson)
+    forces = end_load(part, 2 * (1 + poisson))(part.nodes, load)
+    return replace(bare, forces=forces)
 
 
 def bimorph(

@@ -209,6 +209,34 @@ def elastica(load: float) -> tuple[float, float, float]:
     return float(angle), float(1 - x), float(w)
 
 
+def follower(end: float, pressure: float) -> tuple[float, float, float]:
+    """Tip angle, u/L and w/L of a cantilever under loads that turn with it.
+
+    end, pressure : P L^2/EI across the tip, and q L^3/EI across the beam everywhere.
+
+    From the tip, in its own frame, all is known: the angle a to the tip's tangent, the
+    curvature k and the force F of what lies between are a' = -k, k' = F n and F' = q n,
+    with the normal n = (-sin a, cos a).
+    """
+
+    def rate(_: float, y: Array) -> list[float]:
+        cos, sin = np.cos(y[0]), np.sin(y[0])
+        across = y[3] * cos - y[2] * sin
+        return [-y[1], across, -pressure * sin, pressure * cos, cos, sin]
+
+    start = [0, 0, 0, end, 0, 0]
+    done = solve_ivp(rate, (0, 1), start, "DOP853", rtol=1e-12, atol=1e-12)
+    angle, *_, x, w = done.y[:, -1] * [-1, 1, 1, 1, 1, 1]
+    cos, sin = np.cos(angle), np.sin(angle)
+    return float(angle), float(1 - (x * cos - w * sin)), float(x * sin + w * cos)
+
+
+def rolled(moment: float) -> tuple[float, float, float]:
+    """Tip angle, u/L and w/L of a cantilever under a tip moment M L/EI: an arc."""
+    along, across = np.sin(moment) / moment, (1 - np.cos(moment)) / moment
+    return moment, float(1 - along), float(across)
+
+
 def bilayer(m: float, n: float) -> float:
     """kappa h / d_eps of two bonded layers, m = t1/t2, n = E1/E2.
 

@@ -4,6 +4,9 @@ Each is made in a copy of the package and tested in a fresh process.  The copies
 cache is their own: it compiles a file again when its time has changed, and of another
 file compiled functions call helpers alone.  A verification test that no break can fail
 verifies nothing.
+
+A parametrised test stands for all of its kinds: how many of them fail is counted, as a
+break of one law fails the kinds of that law alone.
 """
 
 from __future__ import annotations
@@ -13,12 +16,12 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
-HERE = "tests/verification"
+FOLDERS = ("tests/verification", "tests/datagen")
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,8 @@ class Mutation:
     what : str; in words.
     file : str; of the package datagen.
     old, new : str; `old` stands in the file exactly once.
-    caught_by : tuple of str; tests of this folder, each of which must fail.
+    caught_by : tuple of str; tests, each of which must fail: ``file::test`` of this
+        folder, ``datagen/file::test`` of the other one.
     """
 
     what: str
@@ -155,7 +159,7 @@ MUTATIONS = (
         "equilibrium.py",
         "body += share * problem.forces",
         "body -= share * problem.forces",
-        (*standard("cantilever"), SOLVED),
+        (*standard("cantilever", "following"), SOLVED),
     ),
     Mutation(
         "the path turns back at its limit point",
@@ -191,6 +195,184 @@ MUTATIONS = (
         "value += dw[q] * p[r] - (",
         "value += dw[q] * p[r] + (",
         (MOVED,),
+    ),
+    Mutation(
+        "as large a local share however stiff the volume",
+        "elements.py",
+        "min(LOCAL_SHARE, float((LOCAL_SHEAR * shear / bulk).min()))",
+        "LOCAL_SHARE",
+        standard("sphere"),
+    ),
+    Mutation(
+        "growth and dead loads led in only half",
+        "continuation.py",
+        "while share < 1:",
+        "while share < 0.4:",
+        (*standard("cantilever", "bimorph"), SOLVED),
+    ),
+    Mutation(
+        "the limit point not looked for between the last two points",
+        "continuation.py",
+        "scale = abs(a.slope) + abs(b.slope)",
+        "return best",
+        (LIMIT,),
+    ),
+    Mutation(
+        "the pressure's slope misjudged where the path turns",
+        "chart.py",
+        "rise = b.pressure - a.pressure",
+        "rise = a.pressure - b.pressure",
+        (LIMIT,),
+    ),
+    Mutation(
+        "the wrong way to a lower pressure",
+        "continuation.py",
+        "self._turn(1.0 if up == (self.point.slope > 0) else -1.0)",
+        "self._turn(1.0)",
+        ("datagen/test_history.py::test_the_baseline_unloads_along_its_loading_path",),
+    ),
+    Mutation(
+        "lost stability not told from a step that fails",
+        "continuation.py",
+        "return close and lost and not self._past_limits",
+        "return False",
+        ("datagen/test_solver.py::test_balloons_that_part_ways_end_a_path",),
+    ),
+    Mutation(
+        "every step as long in time as the whole load step",
+        "continuation.py",
+        "dt *= min(1.0, abs(goal - here.pressure) / whole)",
+        "dt *= 1.0",
+        (
+            "datagen/test_history.py::"
+            "test_the_follower_takes_time_in_steps_that_are_short_enough",
+        ),
+    ),
+    Mutation(
+        "paths that go on through a closed cavity",
+        "journey.py",
+        "if not touching(follower.point.x):",
+        "if True:",
+        (
+            "datagen/test_solver.py::test_touching_roof_and_floor_stops_the_path",
+            "datagen/test_solver.py::"
+            "test_the_pressure_of_contact_is_no_matter_of_the_steps",
+        ),
+    ),
+    Mutation(
+        "paths that end at their limit point whatever is asked",
+        "journey.py",
+        "if go_on is None:",
+        "if True:",
+        ("datagen/test_solver.py::test_a_path_goes_on_past_its_limit_point", LIMIT),
+    ),
+    Mutation(
+        "strips followed until they have turned by less",
+        "solver.py",
+        "FAR_TURN = np.radians(120)",
+        "FAR_TURN = np.radians(100)",
+        ("datagen/test_solver.py::test_a_path_goes_on_past_its_limit_point",),
+    ),
+    Mutation(
+        "the memory of a stress of first order in time",
+        "history.py",
+        "np.exp(-decay), weight * np.exp(-decay / 2)",
+        "np.exp(-decay), weight * np.exp(-decay)",
+        ("datagen/test_history.py::test_convolution_of_a_ramp_in_stretch",),
+    ),
+    Mutation(
+        "the memory's own stress with the wrong sign",
+        "history.py",
+        "total, slope = grown * base.stress, grown * base.tangent",
+        "total, slope = (2 - grown) * base.stress, grown * base.tangent",
+        (
+            "datagen/test_history.py::test_viscoelastic_ramp",
+            "datagen/test_history.py::test_tangents_are_derivatives_in_the_middle_of_a_history",
+        ),
+    ),
+    Mutation(
+        "softening that forgets the largest energy",
+        "history.py",
+        "largest[q] = max(before[q], energy[q])",
+        "largest[q] = energy[q]",
+        (
+            "datagen/test_history.py::test_ogden_roxburgh_unloading",
+            "datagen/test_history.py::test_softening_unloads_lower_and_reloads_as_it_unloaded",
+        ),
+    ),
+    Mutation(
+        "inflation measured across the strip at rest",
+        "observe.py",
+        "height[i] = side * (tx * pz - tz * px)",
+        "height[i] = side * pz",
+        (
+            "datagen/test_observe.py::"
+            "test_a_bulge_is_measured_along_the_normal_of_the_bent_strip",
+        ),
+    ),
+    Mutation(
+        "turns of more than half a circle not counted",
+        "observe.py",
+        "return angle + 2 * np.pi * round((mean - angle) / (2 * np.pi))",
+        "return angle",
+        ("datagen/test_observe.py::test_an_arc_has_its_own_tip_and_angle",),
+    ),
+    Mutation(
+        "crossings looked for between near segments of a row alone",
+        "overlap.py",
+        "for j in range(i + 2, len(row) - 1):",
+        "for j in range(i + 2, i + 3):",
+        ("datagen/test_overlap.py::test_bulbs_that_lean_over_their_walls_overlap",),
+    ),
+    Mutation(
+        "the pressure's share of a derivative with the wrong sign",
+        "adjoint.py",
+        "residuals[:, k] -= more / one.step * load",
+        "residuals[:, k] += more / one.step * load",
+        ("datagen/test_sensitivity.py::test_load_parameters",),
+    ),
+    Mutation(
+        "held nodes that stay where undeformed ones are moved",
+        "adjoint.py",
+        "dx[held] = undeformed[held]",
+        "dx[held] = 0.0",
+        ("datagen/test_sensitivity.py::test_design_fields[upper_thickness]",),
+    ),
+    Mutation(
+        "derivatives that forget the history of a law",
+        "sensitivity.py",
+        "ahead.history = ahead.evaluate(x, pressure, dt).history",
+        "ahead.evaluate(x, pressure, dt)",
+        (
+            "datagen/test_sensitivity.py::test_the_history_of_a_law_is_followed",
+            "datagen/test_history.py::test_derivatives_at_off_follow_the_history",
+        ),
+    ),
+    Mutation(
+        "an elastic support as stiff across a face as along it",
+        "surfaces.py",
+        "k = (normal - tangential) * n[i] * n[j]",
+        "k = 0.0",
+        ("datagen/test_surfaces.py::test_an_inclined_face_feels_its_own_normal",),
+    ),
+    Mutation(
+        "a skin that does not resist its own area",
+        "surfaces.py",
+        "s[i, j] = k * (up[i, j] - c * low[i, j])",
+        "s[i, j] = k * up[i, j]",
+        (
+            "datagen/test_surfaces.py::"
+            "test_forces_of_a_skin_are_derivatives_of_its_energy",
+            "datagen/test_surfaces.py::"
+            "test_matrices_of_a_skin_are_derivatives_of_its_forces",
+        ),
+    ),
+    Mutation(
+        "a mesh error that shrinks where two meshes cross",
+        "mesh_error.py",
+        "np.maximum.accumulate(np.abs(values - coarse), axis=0)",
+        "np.abs(values - coarse)",
+        ("datagen/test_mesh_error.py::test_bracket_on_numbers_by_hand",),
     ),
     Mutation(
         "half the derivative of the first invariant",
@@ -265,12 +447,24 @@ MUTATIONS = (
 )
 
 
-def missed(mutation: Mutation, folder: Path) -> list[str]:
-    """Tests that should fail with this mutation and do not, in a copy in `folder`."""
+class Caught(NamedTuple):
+    """How many kinds of a test a mutation fails, and how many the test has."""
+
+    failed: int
+    kinds: int
+
+
+def where(name: str) -> str:
+    """Path and name of a test as pytest takes them."""
+    return f"tests/{name}" if "/" in name else f"{FOLDERS[0]}/{name}"
+
+
+def caught(mutation: Mutation, folder: Path) -> dict[str, Caught]:
+    """Its tests, and what a mutation does to them in a copy of the package."""
     copy = folder / "copy"
     shutil.rmtree(copy, ignore_errors=True)
     skip = shutil.ignore_patterns("__pycache__")
-    for name in ("datagen", HERE):
+    for name in ("datagen", *FOLDERS):
         shutil.copytree(ROOT / name, copy / name, ignore=skip)
     shutil.copy(ROOT / "pyproject.toml", copy)
     source = copy / "datagen" / mutation.file
@@ -280,9 +474,9 @@ def missed(mutation: Mutation, folder: Path) -> list[str]:
     source.write_text(text.replace(mutation.old, mutation.new))
     done = subprocess.run(
         [
-            *(sys.executable, "-m", "pytest", "-q", "-rf", "--tb=no"),
+            *(sys.executable, "-m", "pytest", "-q", "-rfEp", "--tb=no"),
             *("-p", "no:cacheprovider"),
-            *(f"{HERE}/{name}" for name in mutation.caught_by),
+            *map(where, mutation.caught_by),
         ],
         cwd=copy,
         env={
@@ -295,20 +489,10 @@ def missed(mutation: Mutation, folder: Path) -> list[str]:
         text=True,
         check=False,
     )
-    failed = re.findall(rf"^FAILED {HERE}/(\S+)", done.stdout, re.MULTILINE)
-    return [
-        name
-        for name in mutation.caught_by
-        if not any(found == name or found.startswith(f"{name}[") for found in failed)
-    ]
-
-
-def survivors(folder: Path | None = None) -> dict[str, list[str]]:
-    """Mutations by their words, with the tests that missed them: empty when good."""
-    with tempfile.TemporaryDirectory() as made:
-        found = {}
-        for mutation in MUTATIONS:
-            print(f"  {mutation.what}", flush=True)
-            if names := missed(mutation, folder or Path(made)):
-                found[mutation.what] = names
-        return found
+    lines = re.findall(r"^(FAILED|ERROR|PASSED) (\S+)", done.stdout, re.MULTILINE)
+    found = {}
+    for name in mutation.caught_by:
+        path = where(name)
+        ends = [word for word, at in lines if at == path or at.startswith(f"{path}[")]
+        found[name] = Caught(sum(word != "PASSED" for word in ends), len(ends))
+    return found

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from . import closed_forms as exact
+from .benchmarks import SPECIMEN_LOADS
 
 
 @pytest.mark.parametrize(
@@ -77,6 +78,32 @@ def test_elastica(load: float, angle: float, u: float, w: float) -> None:
 
 
 @pytest.mark.parametrize(
+    ("load", "angle", "u", "w"),
+    [
+        (0.5, 0.249481, 0.016519, 0.165043),
+        (1, 0.495885, 0.064354, 0.320642),
+        (2, 0.968239, 0.232638, 0.573839),
+        (4, 1.776436, 0.657254, 0.786168),
+    ],
+)
+def test_follower_end_load(load: float, angle: float, u: float, w: float) -> None:
+    assert exact.follower(load, 0.0) == pytest.approx((angle, u, w), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("load", "u", "w"),
+    [
+        (1, 0.008896, 0.124444),
+        (2, 0.035205, 0.245592),
+        (4, 0.134987, 0.466023),
+        (8, 0.460701, 0.763510),
+    ],
+)
+def test_follower_pressure(load: float, u: float, w: float) -> None:
+    assert exact.follower(0.0, load)[1:] == pytest.approx((u, w), abs=1e-6)
+
+
+@pytest.mark.parametrize(
     ("m", "n", "curvature"), [(1, 1, 1.5), (95 / 140, 1.8, 1.496814)]
 )
 def test_bilayer(m: float, n: float, curvature: float) -> None:
@@ -88,8 +115,11 @@ def test_bilayer(m: float, n: float, curvature: float) -> None:
 
 
 def test_clamped_plate() -> None:
-    found = exact.clamped_plate(np.array([0.1, 1, 10, 50]))
-    assert found == pytest.approx([0.0385, 0.353, 1.4818, 2.829], rel=1e-3)
+    found = exact.clamped_plate(np.array([0.1, 1, 10, 50, 100]))
+    assert found == pytest.approx([0.0385, 0.353, 1.4818, 2.829, 3.639], rel=1e-3)
+    specimen = 0.14 * exact.clamped_plate(np.array(SPECIMEN_LOADS))
+    table = [0.0302, 0.0559, 0.1084, 0.1599, 0.2213, 0.2627, 0.3219]
+    assert specimen == pytest.approx(table, rel=2e-3)
     # A long plate under a small load is a clamped strip: w = p a^4 / (24 D).
     small = exact.clamped_plate(np.array([1e-3]), ratio=6.0)[0]
     assert small == pytest.approx(1e-3 * 12 * (1 - 0.48**2) / 24, rel=1e-3)
