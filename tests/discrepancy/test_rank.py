@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from datagen.errors import EffectError
 from datagen.model import Model
 from discrepancy.answer import to_json
+from discrepancy.emulator import Emulator
 from discrepancy.evidence import fit
 from discrepancy.experiment import next_measurement
 from discrepancy.judging import Ranking
@@ -198,3 +200,20 @@ def test_what_a_bent_effect_could_take() -> None:
     assert could_take(0.0, 1.0, 50.0) == pytest.approx(100.0)
     assert could_take(50.0, 0.6, 50.0) == pytest.approx(98.0)
     assert could_take(0.0, 0.7, 0.0) == 0.0
+
+
+def test_a_best_fit_far_from_all_solves_is_solved() -> None:
+    """Where interpolation and tangent agree far away, both may be wrong."""
+    nodes = np.array([[0.0], [0.8]])
+    slopes = np.full((2, 1, 1), 10.0)
+    curves = Emulator(nodes, 10.0 * nodes, slopes, np.ones(1))
+    present = SimpleNamespace(curves=curves)
+
+    def curved(t: float) -> bool:
+        one = SimpleNamespace(t=np.array([t]), noise=np.full(1, 0.1))
+        return Search._curved(one, present)  # type: ignore[arg-type]
+
+    line = curves.many(np.array([[0.4]]))[0, 0]
+    assert line == pytest.approx(4.0, abs=0.05)
+    assert curved(0.4)
+    assert not curved(0.8) and not curved(0.77)
