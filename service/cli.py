@@ -418,7 +418,11 @@ def serve(
         Path | None, Option(metavar="MODEL", help="Folder of a trained model.")
     ] = None,
     state: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder of the jobs; else PBA_STATE.")
+        Path | None,
+        Option(
+            metavar="DIR",
+            help="Folder of the jobs, those of each workspace apart; else PBA_STATE.",
+        ),
     ] = None,
     database_url: Annotated[
         str | None, Option(metavar="URL", help="PostgreSQL for the jobs, not SQLite.")

@@ -159,7 +159,8 @@ class JobStore:
         Folder of the job database, made when missing; one server at a time.
     kinds : mapping of str to Kind
     database_url : str, optional
-        PostgreSQL for the jobs of several servers, each with a state folder.
+        PostgreSQL for the jobs of several servers, each with a state folder; none sees
+        another's.
 
     Raises
     ------
@@ -189,7 +190,8 @@ class JobStore:
         try:
             self._lock = _lock(state)
             try:
-                self._launch(database_url or f"sqlite:///{state / DATABASE}", state)
+                self._identity = _identity(state)
+                self._launch(database_url or f"sqlite:///{state / DATABASE}")
             except BaseException:
                 self._lock.close()
                 raise
@@ -197,7 +199,7 @@ class JobStore:
             _ONE.release()
             raise
 
-    def _launch(self, url: str, state: Path) -> None:
+    def _launch(self, url: str) -> None:
         from dbos import DBOS, DBOSPortableJSONSerializer
         from dbos import error as dbos_error
         from sqlalchemy.exc import SQLAlchemyError
@@ -207,7 +209,7 @@ class JobStore:
             "system_database_url": url,
             # Fixed: a newer version of the program finishes the older one's jobs.
             "application_version": "1",
-            "executor_id": _identity(state),
+            "executor_id": self._identity,
             "log_level": "CRITICAL",  # a failure to launch is raised, in one line
             "serializer": DBOSPortableJSONSerializer(),
             # Not used here, but closing waits for its thread.
@@ -251,7 +253,8 @@ class JobStore:
         """
         if key is None:
             return self._start(f"{kind}-{uuid.uuid4().hex[:16]}", kind, payload)
-        job_id = f"{kind}-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+        own = hashlib.sha256(f"{self._identity} {key}".encode()).hexdigest()[:16]
+        job_id = f"{kind}-{own}"
         with self._submitting:
             earlier = self._find(prefix=job_id)
             for job in earlier:
@@ -279,7 +282,7 @@ class JobStore:
         from dbos import DBOS
 
         status = DBOS.get_workflow_status(job_id)
-        if status is None:
+        if status is None or status.executor_id != self._identity:
             raise JobNotFound(f"no job has the id {job_id!r}")
         return self._job(status)
 
@@ -333,7 +336,10 @@ class JobStore:
         from dbos import DBOS
 
         found = DBOS.list_workflows(
-            workflow_id_prefix=prefix, limit=limit, sort_desc=True
+            workflow_id_prefix=prefix,
+            limit=limit,
+            sort_desc=True,
+            executor_id=self._identity,
         )
         return [self._job(status) for status in found]
 
