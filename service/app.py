@@ -29,7 +29,7 @@ from discrepancy.workspace import Workspace, default_workspace
 
 from .answer import Predictor, load_model
 from .bench import MISSING, Words, allowed, count_words, pressure_words
-from .current import Switch
+from .current import ModelNotFound, NoModel, Switch
 from .discrepancy_routes import router as discrepancy_router
 from .jobs import JobNotFound, JobStore, Kind, TooManyJobs, describe
 from .measurements import MeasurementsNotFound
@@ -46,8 +46,10 @@ HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
     (EffectError, 422),
     (JobNotFound, 404),
     (MeasurementsNotFound, 404),
+    (ModelNotFound, 404),
     (MeasurementError, 422),
     (TooManyJobs, 503),
+    (NoModel, 503),
     (WorkerDied, 500),
     (FileError, 500),
     (PbaError, 500),

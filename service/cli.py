@@ -198,9 +198,9 @@ def predict(
                 answer = fem_answer(
                     fem, fem_version(level), design, pressure, False, check.reasons
                 )
-    lists = answer.to_columns()
+    lists = answer.to_columns() | {"parameters": {}}
     if version is not None:
-        lists |= {"effects": version.parameters(), "version": version.version}
+        lists |= {"parameters": version.parameters(), "version": version.version}
     if as_json:
         print_json(lists)
         return

@@ -16,7 +16,7 @@ import sqlite3
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from datagen.errors import EffectError, FileError, InputError, PbaError
 from discrepancy.table import MeasurementError
 
+from .current import ModelNotFound, NoModel
 from .measurements import MeasurementsNotFound
 from .workers import Worker, WorkerDied
 
@@ -84,7 +85,9 @@ ERROR_TYPES: tuple[tuple[type[PbaError], str], ...] = (
     (WorkerDied, "worker"),
     (JobNotFound, "not_found"),
     (MeasurementsNotFound, "not_found"),
+    (ModelNotFound, "not_found"),
     (TooManyJobs, "busy"),
+    (NoModel, "no_model"),
     (PbaError, "error"),
 )
 """Errors by the name they have in answers; the first that fits counts."""
@@ -234,7 +237,11 @@ class JobStore:
         log.setLevel("ERROR")
 
     def submit(
-        self, kind: str, payload: Mapping[str, Any], key: str | None = None
+        self,
+        kind: str,
+        payload: Mapping[str, Any],
+        key: str | None = None,
+        stands: Callable[[Job], bool] = lambda _done: True,
     ) -> Job:
         """Accept a job; once this returns, it survives the server.
 
@@ -246,6 +253,9 @@ class JobStore:
         key : str, optional
             What makes this job the same as another one.  A job with this key that is
             open or done is returned in place of a new one.
+        stands : callable
+            Whether what a done job has brought about is still so; else it is done
+            again.
 
         Raises
         ------
@@ -258,7 +268,7 @@ class JobStore:
         with self._submitting:
             earlier = self._find(prefix=job_id)
             for job in earlier:
-                if job.status in (*OPEN, "done"):
+                if job.status in OPEN or (job.status == "done" and stands(job)):
                     return job
             again = f"-{len(earlier) + 1}" if earlier else ""
             return self._start(job_id + again, kind, payload)

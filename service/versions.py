@@ -100,8 +100,7 @@ def fem_model(
 
 def fem_name(level: str, version: ModelVersion | None) -> str:
     """What makes the numbers of the finite elements, adopted effects included."""
-    name = fem_version(level)
-    return name if version is None else f"{name}+{version.version}"
+    return fem_version(level, "" if version is None else version.version)
 
 
 def version_answer(
