@@ -383,19 +383,31 @@ def train(
 @app.command()
 def accuracy(
     model: Annotated[
-        Path, Argument(metavar="MODEL", help="Folder of a trained model.")
+        str,
+        Argument(
+            metavar="MODEL",
+            help="Folder of a trained model, or folder, name or id of a model version.",
+        ),
     ],
-    dataset: Annotated[Path, Argument(metavar="DATASET", help="HDF5 file of paths.")],
+    dataset: Annotated[
+        Path | None,
+        Argument(
+            metavar="DATASET",
+            help="HDF5 file of paths; those that a version learned from without it.",
+        ),
+    ] = None,
+    workspace: WorkspaceDir = None,
     as_json: AsJson = False,
 ) -> None:
     """Errors and coverage on designs that were held out from training."""
     from datagen.dataset import Dataset
     from surrogate.accuracy import accuracy as measure
-    from surrogate.ensemble import Ensemble
 
     from .terminal import accuracy_tables
+    from .versions import trained
 
-    found = measure(Ensemble.load(model), Dataset.read(dataset)).to_json()
+    surrogate, paths = trained(model, dataset, workspace)
+    found = measure(surrogate, Dataset.read(paths)).to_json()
     if as_json:
         print_json(found)
         return

@@ -183,6 +183,7 @@ def test_a_report_is_written(
         (("viscoelasticity", "effect.csv"), "no reading has one (column time_s)"),
         (("mullins", "nothing.csv"), "nothing.csv"),
         (("mullins", "effect.csv", "--on", "nothing"), "nothing"),
+        (("cure", "effect.csv", "--on", "baseline"), "'cure' is unknown"),
         (("mullins", "effect.csv", "--report", "no/where.html"), "--report"),
         (("mullins", "effect.csv", "--out", "baseline"), "--out: 'baseline'"),
         (("mullins", "effect.csv", "--out", "no/where/m"), "parent folder"),
