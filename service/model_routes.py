@@ -36,7 +36,7 @@ def models(service: Shared) -> dict[str, Any]:
     `problem` says why it is another one than the workspace's, or none.
     """
     home, serving = service.switch.workspace, service.switch.look()
-    rows = [_base(service)]
+    rows = [_base(service, serving)]
     for one in home.entries():
         row: dict[str, Any] = {"name": one.name, "in_use": _answers(one.name, serving)}
         if one.version is None:
@@ -48,7 +48,7 @@ def models(service: Shared) -> dict[str, Any]:
         "models": rows,
         "current": None if serving is None else serving.name,
         "workspace": str(home.folder),
-        "problem": service.switch.problem,
+        "problem": service.switch.problem if serving is None else serving.problem,
     }
 
 
@@ -56,7 +56,7 @@ def models(service: Shared) -> dict[str, Any]:
 def model(name: str, service: Shared) -> dict[str, Any]:
     """A version by its name or id: effects, sizes, ladder, measurements, code."""
     if service.switch.is_base(name):
-        return _base(service)
+        return _base(service, service.switch.look())
     found, version = _version(name, service)
     about: dict[str, Any] = plain(version_json(version))
     return {"name": found, "in_use": _answers(found, service.switch.look())} | about
@@ -111,9 +111,9 @@ def _version(name: str, service: Service) -> tuple[str, ModelVersion]:
     return found.name, found.version
 
 
-def _base(service: Service) -> dict[str, Any]:
+def _base(service: Service, serving: Serving | None) -> dict[str, Any]:
     """The model without adopted effects."""
-    base, serving = service.switch.base, service.switch.look()
+    base = service.switch.base
     return {
         "name": base.name,
         "version": base.model_version,
@@ -131,14 +131,15 @@ def _answers(name: str, serving: Serving | None) -> bool:
 
 def _in_use(service: Service) -> dict[str, Any]:
     serving = service.switch.look()
-    found: dict[str, Any] = {"current": None, "version": None, "effects": []}
-    if serving is not None:
-        found = {
-            "current": serving.name,
-            "version": serving.model_version,
-            "effects": list(serving.effects),
-        }
-    return found | {"problem": service.switch.problem}
+    if serving is None:
+        nothing: dict[str, Any] = {"current": None, "version": None, "effects": []}
+        return nothing | {"problem": service.switch.problem}
+    return {
+        "current": serving.name,
+        "version": serving.model_version,
+        "effects": list(serving.effects),
+        "problem": serving.problem,
+    }
 
 
 @router.post(

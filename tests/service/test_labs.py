@@ -11,13 +11,13 @@ import pytest
 from fastapi.testclient import TestClient
 
 from discrepancy.workspace import DEFAULT
-from discrepancy.writing import measurements_text
 from service.app import create_app
 from service.jobs import OPEN, JobStore
-from tests.discrepancy.made import MISMATCH, measured
 from tests.service.fake_server import settings
 from tests.service.fakes import FakeSurrogate
 from tests.service.test_jobs import KINDS, counting, until
+
+BENCH = Path(__file__).parents[2] / "examples" / "measurements" / "bench.csv"
 
 
 @contextmanager
@@ -41,8 +41,7 @@ def test_two_labs_with_one_state_folder_see_nothing_of_each_other(
         assert client.get("/v1/models").json()["workspace"] == str(
             tmp_path / "a" / DEFAULT
         )
-        content = measurements_text(measured(MISMATCH)[0])
-        client.post("/v1/measurements", content=content)
+        client.post("/v1/measurements", content=BENCH.read_bytes())
         job = client.post("/v1/datasets", json=slow).json()["id"]
         until(lambda: client.get(f"/v1/jobs/{job}").json()["progress"])
     with lab(tmp_path / "b", state) as client:
