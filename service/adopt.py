@@ -114,6 +114,8 @@ def show(found: Adopted) -> None:
     for line in found.warnings:
         print(f"Warning: {line}")
     where = ""
-    if found.home is not None and found.in_use:
+    if found.home is None:
+        where = " It is in no workspace: --model names it by its folder."
+    elif found.in_use:
         where = f" It is in use in {found.home.folder}."
     print(f"\n{version.folder}: version {named(version)}, on {version.parent}.{where}")

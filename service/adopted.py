@@ -92,7 +92,8 @@ def adopted(
     out : str
         Folder of the version, or its bare name in the workspace.
     on : str
-        A version whose effects are kept and fitted together with these.
+        A version whose effects are kept and fitted together with these; none where it
+        is empty or the baseline.
     workspace : Path, optional
         The default one where it is not given.
     effects_dir : Path, optional
@@ -115,14 +116,16 @@ def adopted(
         When something is not allowed; nothing is written then.
     """
     everything = joined(measured)
-    parent = ModelVersion.load(locate(on, workspace)) if on else None
+    parent = None
+    if on and on != BASELINE:
+        parent = ModelVersion.load(locate(on, workspace, "on"))
     names = _all(names, parent)
     folder, home = place(out, workspace)
     if home is not None:
         home.make()
     written = None
-    if again and is_version(folder):
-        written = _same(ModelVersion.load(folder), names, measured, level, seed)
+    if again:
+        written = made_before(folder, names, measured, parent, level, seed)
     if written is None:
         vacant(folder)
     lineage = _lineage(parent, measured)
@@ -141,16 +144,27 @@ def adopted(
     return Adopted(made, version, home, home is not None and use, tuple(lineage), page)
 
 
-def _same(
-    version: ModelVersion,
+def made_before(
+    folder: Path,
     names: Sequence[str],
     measured: Sequence[Measurements],
+    parent: ModelVersion | None,
     level: str,
     seed: int,
 ) -> ModelVersion | None:
-    """The version, if it was made from these; else None."""
+    """The version that is in a folder, if it was made from just these; else None.
+
+    Raises
+    ------
+    FileError
+        When a version in it is damaged.
+    """
+    if not is_version(folder):
+        return None
+    version = ModelVersion.load(folder)
     alike = (
-        version.effects == tuple(names)
+        version.effects == tuple(_all(names, parent))
+        and version.parent == (BASELINE if parent is None else parent.version)
         and [one.sha256 for one in version.measurements]
         == [one.sha256 for one in measured]
         and (version.level, version.seed) == (level, seed)

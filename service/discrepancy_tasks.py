@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from datagen.errors import InputError
+
 from .workers import Report
 
 if TYPE_CHECKING:
@@ -32,7 +34,8 @@ def _solver(payload: Mapping[str, Any], report: Report) -> Iterator[Solver]:
         yield solver
 
 
-def _measured(payload: Mapping[str, Any]) -> Measurements:
+def measured_of(payload: Mapping[str, Any]) -> Measurements:
+    """The measurements that a job is about."""
     from discrepancy.measurement import Tolerances
     from discrepancy.reading import read_measurements
 
@@ -48,7 +51,7 @@ def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     level = payload["level"]
     with _solver(payload, report) as solver:
-        study = Study(_measured(payload), solver, level=level, fast=level, effects=())
+        study = Study(measured_of(payload), solver, level=level, fast=level, effects=())
         return comparison_json(hold(study), level)
 
 
@@ -58,7 +61,7 @@ def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     with _solver(payload, report) as solver:
         found = ranked(
-            _measured(payload),
+            measured_of(payload),
             solver,
             level=payload["level"],
             effects=payload["effects"],
@@ -76,7 +79,7 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     found = adopted(
         payload["effects"],
-        [_measured(payload)],
+        [measured_of(payload)],
         _solver(payload, report),
         out=payload["model"],
         on=payload["on"],
@@ -100,8 +103,11 @@ def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     def update(stage: str, done: int, total: int, left: float | None) -> None:
         report({"what": stage, "done": done, "total": total, "seconds_left": left})
 
+    version = read(Path(payload["folder"]))
+    if version.version != payload["version"]:
+        raise InputError("model", version.version, payload["version"])
     made = train(
-        read(Path(payload["folder"])),
+        version,
         minutes=payload["minutes"],
         paths=payload["paths"],
         seed=payload["seed"],

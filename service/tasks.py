@@ -16,34 +16,48 @@ from .answer import fem_answer
 from .workers import Report
 
 
-def fem_version(level: str) -> str:
-    """What makes the numbers of the finite elements, and at which mesh."""
+def fem_version(level: str, adopted: str = "") -> str:
+    """What makes the numbers of the finite elements, and at which mesh.
+
+    Parameters
+    ----------
+    level : str
+    adopted : str
+        Id of the model version whose effects are on.
+    """
     from datagen.model import GENERATOR_VERSION
 
-    return f"fem-{GENERATOR_VERSION}-{level}"
+    return f"fem-{GENERATOR_VERSION}-{level}" + (f"+{adopted}" if adopted else "")
 
 
 def predict(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
-    """One path by finite elements; the result is the body of ``/v1/predict``."""
-    from .versions import fem_model, fem_name
+    """One path by finite elements; the result is the body of ``/v1/predict``.
+
+    ``adopted`` holds the model version, see `current.Serving.adopted`; None is the
+    baseline.
+    """
+    from datagen.model import Model
+    from discrepancy.folder import unpacked
 
     level = payload["level"]
-    version = None
-    if payload.get("adopted"):
-        from discrepancy.folder import read
-
-        version = read(Path(payload["adopted"]))
-    with fem_model(version, {}, level, None) as model:
+    version = payload["adopted"] or {
+        "version": "",
+        "effects": [],
+        "parameters": {},
+        "own": {},
+    }
+    effects = tuple(version["effects"])
+    with unpacked(version["own"]) as own:
         answer = fem_answer(
-            model,
-            fem_name(level, version),
+            Model(effects, level, version["parameters"], own),
+            fem_version(level, version["version"]),
             Design(**payload["design"]),
             np.asarray(payload["pressure"], dtype=float),
             payload["in_range"],
             payload["reasons"],
         )
-    effects = () if version is None else version.effects
-    return replace(answer, effects=effects).to_dict()
+    notes = (*answer.notes, *payload["notes"])
+    return replace(answer, effects=effects, notes=notes).to_dict()
 
 
 def dataset(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datagen.device import Design
+from datagen.errors import InputError
 
 from .answer import Answer, fem_answer, surrogate_answer
 from .tasks import fem_version
@@ -18,6 +19,7 @@ from .tasks import fem_version
 if TYPE_CHECKING:
     from datagen.model import Model
     from discrepancy.version import ModelVersion
+    from surrogate.accuracy import Surrogate
 
 
 def chosen_version(model: str | None, workspace: Path | None) -> ModelVersion | None:
@@ -69,6 +71,39 @@ def named_version(model: str | None, workspace: Path | None) -> ModelVersion | N
     return None if model == BASELINE else read(locate(model, workspace))
 
 
+def trained(
+    model: str, dataset: Path | None, workspace: Path | None
+) -> tuple[Surrogate, Path]:
+    """A surrogate, and a file of paths to judge it by.
+
+    Parameters
+    ----------
+    model : str
+        As in `chosen_version`.
+    dataset : Path or None
+        Of a version, what its surrogate was trained from where it is not given.
+    workspace : Path or None
+
+    Raises
+    ------
+    FileError, InputError
+        When there is no such model, it has no surrogate, or a dataset is needed.
+    """
+    from surrogate.corrected import Corrected
+    from surrogate.ensemble import Ensemble
+    from surrogate.learn import INCREMENT
+
+    version = chosen_version(model, workspace)
+    if version is None:
+        if dataset is None:
+            raise InputError("DATASET", "none", "an HDF5 file of paths")
+        return Ensemble.load(Path(model)), dataset
+    if version.surrogate is None:
+        allowed = "a version with a surrogate (pba models train)"
+        raise InputError("model", model, allowed)
+    return Corrected.load(version.surrogate), dataset or version.surrogate / INCREMENT
+
+
 @contextmanager
 def fem_model(
     version: ModelVersion | None,
@@ -100,8 +135,7 @@ def fem_model(
 
 def fem_name(level: str, version: ModelVersion | None) -> str:
     """What makes the numbers of the finite elements, adopted effects included."""
-    name = fem_version(level)
-    return name if version is None else f"{name}+{version.version}"
+    return fem_version(level, "" if version is None else version.version)
 
 
 def version_answer(

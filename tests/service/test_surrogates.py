@@ -153,7 +153,12 @@ def test_training_asked_for_wrongly(client: TestClient) -> None:
         ({"minutes": -1}, "minutes"),
         ({"paths": 2.5}, "paths"),
         ({"hours": 1}, "hours"),
+        ({"paths": 15}, "equal to 16"),
+        ({"paths": 20, "minutes": 3.0}, "either paths or minutes"),
     ):
         answer = client.post("/v1/models/first/surrogate", json=body)
-        assert answer.status_code == 422 and word in answer.text
-    assert client.post("/v1/models/none/surrogate", json={}).status_code == 422
+        assert answer.status_code == 422 and word in answer.text, answer.text
+    assert client.post("/v1/models/none/surrogate", json={}).status_code == 404
+    for name in ("baseline", "reference"):
+        answer = client.post(f"/v1/models/{name}/surrogate", json={})
+        assert answer.status_code == 422 and "adopted effects" in answer.text
