@@ -326,7 +326,8 @@ class PredictOut(BaseModel):
     )
     mesh_error: MeshError | None = Field(
         default=None,
-        description="of the finite elements; half the width of their interval",
+        description="of the finite elements; half the width of their interval, which "
+        "adopted effects widen by what their fit left open",
     )
     unknowns: int | None = Field(description="of the finite elements")
     seconds: float | None = Field(description="the finite elements took (s)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,25 +25,24 @@ def fem_version(level: str) -> str:
 
 def predict(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     """One path by finite elements; the result is the body of ``/v1/predict``."""
-    from .versions import fem_model, fem_name
+    from .versions import adopted_answer, fem_model
 
     level = payload["level"]
+    asked = (
+        Design(**payload["design"]),
+        np.asarray(payload["pressure"], dtype=float),
+        payload["in_range"],
+        payload["reasons"],
+    )
     version = None
     if payload.get("adopted"):
         from discrepancy.folder import read
 
         version = read(Path(payload["adopted"]))
     with fem_model(version, {}, level, None) as model:
-        answer = fem_answer(
-            model,
-            fem_name(level, version),
-            Design(**payload["design"]),
-            np.asarray(payload["pressure"], dtype=float),
-            payload["in_range"],
-            payload["reasons"],
-        )
-    effects = () if version is None else version.effects
-    return replace(answer, effects=effects).to_dict()
+        if version is not None:
+            return adopted_answer(version, model, level, *asked).to_dict()
+        return fem_answer(model, fem_version(level), *asked).to_dict()
 
 
 def dataset(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datagen.device import Design
+from datagen.units import PRESSURE
 
-from .answer import Answer, fem_answer, surrogate_answer
+from .answer import COVERAGE, Answer, fem_answer, surrogate_answer
 from .tasks import fem_version
 
 if TYPE_CHECKING:
@@ -129,12 +130,79 @@ def version_answer(
             answer = surrogate_answer(surrogate, design, pressure, check)
             return replace(answer, effects=version.effects)
         reasons = tuple(check.reasons)
+    return adopted_answer(
+        version, version.forward(level), level, design, pressure, False, reasons
+    )
+
+
+def adopted_answer(
+    version: ModelVersion,
+    model: Model,
+    level: str,
+    design: Design,
+    pressure: np.ndarray,
+    in_range: bool,
+    reasons: Sequence[str],
+) -> Answer:
+    """What the finite elements answer with a version's effects, at their means.
+
+    The interval joins in squares the mesh error and the way from the value to the
+    quantiles of the posterior's samples, each moved along the derivatives by the
+    parameters: it says what the measurements left open, as far as that is linear.
+
+    Parameters
+    ----------
+    version : ModelVersion
+    model : Model
+        Its finite elements.
+    level : str
+        Of their mesh.
+    design : Design
+    pressure : (s,) array, Pa
+    in_range, reasons
+        What the surrogate said of this request.
+    """
     answer = fem_answer(
-        version.forward(level),
+        model,
         fem_name(level, version),
         design,
         pressure,
-        False,
+        in_range,
         reasons,
+        sensitivities=version.names,
     )
-    return replace(answer, effects=version.effects)
+    return replace(_marginal(version, answer), effects=version.effects)
+
+
+def _marginal(version: ModelVersion, answer: Answer) -> Answer:
+    """An answer with derivatives, its interval widened by the posterior."""
+    if answer.jacobian is None:  # nothing was fitted
+        return answer
+    order = [answer.parameters.index(name) for name in version.names]
+    known = np.isfinite(answer.jacobian).all(axis=2)
+    slopes = np.where(known[..., None], answer.jacobian[..., order], 0.0)
+    moved = np.einsum("smk,qk->qsm", slopes, version.samples - version.mean)
+    ends = [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]
+    low, high = np.quantile(moved, ends, axis=0)
+    return replace(
+        answer,
+        low=answer.value - np.hypot(answer.value - answer.low, np.maximum(-low, 0)),
+        high=answer.value + np.hypot(answer.high - answer.value, np.maximum(high, 0)),
+        notes=(*answer.notes, *_notes_on(version, answer, known.all(axis=1))),
+    )
+
+
+def _notes_on(version: ModelVersion, answer: Answer, known: np.ndarray) -> list[str]:
+    """What the interval holds; `known`, (s,) bool, are steps with derivatives."""
+    names = ", ".join(version.names)
+    lines = [
+        f"{COVERAGE:.0%} interval: the mesh error, and what the measurements left open "
+        f"of {names}."
+    ]
+    reached = np.isfinite(answer.value).all(axis=1)
+    if lost := [f"{p / PRESSURE.factor:g}" for p in answer.pressure[reached & ~known]]:
+        lines.append(
+            f"No derivative by {names} was found at {', '.join(lost)} kPa: the "
+            "interval there is the mesh error alone."
+        )
+    return lines
