@@ -35,7 +35,7 @@ def adopt(
         list[Path],
         Argument(
             metavar="FILE...",
-            help="Measurements: CSV files or PEtab tables, each with its own devices.",
+            help="Measurements: CSV files or PEtab tables, each with its own runs.",
         ),
     ],
     out: Annotated[

@@ -9,11 +9,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from datagen.effects import catalogue
+from datagen.model import GENERATOR_VERSION
 from discrepancy.adopt import Adoption, joined
 from discrepancy.adopt import adopt as fit
 from discrepancy.folder import effects_of, vacant
 from discrepancy.layout import BASELINE, is_version
 from discrepancy.measurement import Measurements
+from discrepancy.provenance import digest, source_file
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from discrepancy.version import ModelVersion
@@ -77,16 +80,18 @@ def adopted(
     use: bool = True,
     report: bool = False,
     seed: int = 0,
-    again: bool = False,
 ) -> Adopted:
     """Put effects into the model, fitted to measurements, as a new version.
+
+    The version may be there already where it was made in just this way: what was
+    killed after it had written it is run once more, and goes on from there.
 
     Parameters
     ----------
     names : sequence of str
         Effects, in the ladder's order.
     measured : sequence of Measurements
-        Each with its own devices.
+        Each with its own runs.
     solving : context manager of Solver
         Entered when there is something to be solved.
     out : str
@@ -105,9 +110,6 @@ def adopted(
         Whether to write the report's page.
     seed : int
         Of the samples.
-    again : bool
-        Whether a version that was made in just this way may be there already: a job
-        that was killed after it had written it, and is run once more.
 
     Raises
     ------
@@ -120,22 +122,31 @@ def adopted(
     folder, home = place(out, workspace)
     if home is not None:
         home.make()
-    written = None
-    if again and is_version(folder):
-        written = _same(ModelVersion.load(folder), names, measured, level, seed)
-    if written is None:
-        vacant(folder)
     lineage = _lineage(parent, measured)
-    with effects_of(parent, effects_dir) as own, solving as solver:
-        study = Study(everything, solver, level=level, effects=names, effects_dir=own)
-        made = fit(study, names, seed)
-        version = written or ModelVersion.of(
-            made,
-            parent=BASELINE if parent is None else parent.version,
-            files=measured,
-            date=datetime.now(UTC).isoformat(timespec="seconds"),
-        ).save(folder, own)
-        page = _page(study, made, version, lineage) if report else ""
+    built_on = BASELINE if parent is None else parent.version
+    with effects_of(parent, effects_dir) as own:
+        written = None
+        if is_version(folder):
+            there = ModelVersion.load(folder)
+            request = (built_on, names, measured, level, seed)
+            written = there if _same(there, own, *request) else None
+        if written is None:
+            vacant(folder)
+        with solving as solver:
+            study = Study(
+                everything, solver, level=level, effects=names, effects_dir=own
+            )
+            made = fit(study, names, seed)
+            version = written or ModelVersion.of(
+                made,
+                parent=built_on,
+                files=measured,
+                date=datetime.now(UTC).isoformat(timespec="seconds"),
+            )
+            # Before it is saved: a version that is there is one that was reported.
+            page = _page(study, made, version, lineage) if report else ""
+        if written is None:
+            version = version.save(folder, own)
     if home is not None and use:
         home.use(folder.name)
     return Adopted(made, version, home, home is not None and use, tuple(lineage), page)
@@ -143,20 +154,27 @@ def adopted(
 
 def _same(
     version: ModelVersion,
+    effects_dir: Path | None,
+    parent: str,
     names: Sequence[str],
     measured: Sequence[Measurements],
     level: str,
     seed: int,
-) -> ModelVersion | None:
-    """The version, if it was made from these; else None."""
-    alike = (
-        version.effects == tuple(names)
+) -> bool:
+    """Whether a version was made from these, with effects written as they are now."""
+    known = catalogue(effects_dir)
+    return (
+        version.parent == parent
+        and version.effects == tuple(names)
+        and version.generator == GENERATOR_VERSION
+        and all(name in known for name in names)
+        and version.sources
+        == {name: digest(source_file(known[name])) for name in names}
         and [one.sha256 for one in version.measurements]
         == [one.sha256 for one in measured]
         and (version.level, version.seed) == (level, seed)
         and version.tolerances == measured[0].tolerances
     )
-    return version if alike else None
 
 
 def _page(

@@ -85,7 +85,6 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
         use=payload["use"],
         report=True,
         seed=payload["seed"],
-        again=True,
     )
     return found.to_json() | {"file": _kept(payload, found.page)}
 
