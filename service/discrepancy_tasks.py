@@ -1,8 +1,9 @@
 """Jobs on measurements: compare, rank, adopt; from JSON to JSON.
 
-A payload holds the file, its tolerances as in `discrepancy.measurement.Tolerances`, and
-what the command line's options of the same names say.  Solves are kept in the server's
-state folder: a job that was killed goes on where it was.
+A payload holds the files (one, but for an adoption), their tolerances as in
+`discrepancy.measurement.Tolerances`, and what the command line's options of the same
+names say.  Solves are kept in the server's state folder: a job that was killed goes on
+where it was.
 """
 
 from __future__ import annotations
@@ -32,11 +33,12 @@ def _solver(payload: Mapping[str, Any], report: Report) -> Iterator[Solver]:
         yield solver
 
 
-def _measured(payload: Mapping[str, Any]) -> Measurements:
+def _measured(payload: Mapping[str, Any]) -> list[Measurements]:
     from discrepancy.measurement import Tolerances
     from discrepancy.reading import read_measurements
 
-    return read_measurements(payload["file"], Tolerances(**payload["tolerances"]))
+    allowed = Tolerances(**payload["tolerances"])
+    return [read_measurements(file, allowed) for file in payload["files"]]
 
 
 def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
@@ -48,7 +50,8 @@ def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     level = payload["level"]
     with _solver(payload, report) as solver:
-        study = Study(_measured(payload), solver, level=level, fast=level, effects=())
+        (measured,) = _measured(payload)
+        study = Study(measured, solver, level=level, fast=level, effects=())
         return comparison_json(hold(study), level)
 
 
@@ -56,9 +59,10 @@ def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     """The object of ``pba rank --json``; the report is the job's file."""
     from .ranked import ranked
 
+    (measured,) = _measured(payload)
     with _solver(payload, report) as solver:
         found = ranked(
-            _measured(payload),
+            measured,
             solver,
             level=payload["level"],
             effects=payload["effects"],
@@ -76,7 +80,7 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     found = adopted(
         payload["effects"],
-        [_measured(payload)],
+        _measured(payload),
         _solver(payload, report),
         out=payload["model"],
         on=payload["on"],

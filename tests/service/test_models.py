@@ -112,26 +112,57 @@ def test_bad_names(client: TestClient, body: dict[str, Any], word: str) -> None:
 
 
 def test_adopting(client: TestClient) -> None:
-    content = measurements_text(measured(MISMATCH)[0])
-    identity = client.post("/v1/measurements", content=content).json()["id"]
+    """On two files, which are one set."""
+    whole, _ = measured(MISMATCH)
+    parts = whole.subset(whole.devices[:1]), whole.subset(whole.devices[1:])
+    ids = [
+        client.post("/v1/measurements", content=measurements_text(part)).json()["id"]
+        for part in parts
+    ]
     body = {
-        "measurements": identity,
+        "measurements": ids,
         "effects": ["cure_mismatch"],
         "model": "fitted",
         "level": "draft",
     }
     job = ended(client, client.post("/v1/adoptions", json=body))
     assert job["status"] == "done", job["error"]
+    files = job["result"]["measurements"]
+    assert [one["sha256"][:16] for one in files] == ids
     rungs = job["result"]["ladder"]
     assert rungs[-1]["rung"] == "noise floor"
     assert rungs[-2]["heldout_error"] < rungs[0]["heldout_error"]
     assert client.get("/v1/models").json()["current"] == "fitted"
     page = client.get(f"/v1/jobs/{job['id']}/file")
     assert page.text.startswith("<!DOCTYPE html>")
-    again = client.post("/v1/adoptions", json=body | {"seed": 1})
+    again = client.post("/v1/adoptions", json=body | {"measurements": ids[0]})
     refused = ended(client, again)
     assert refused["status"] == "failed"
     assert "fitted" in refused["error"]["message"]
+
+
+@pytest.mark.parametrize(
+    ("measurements", "says"),
+    [
+        ([], "measurements"),
+        (None, "measurements"),
+        (["x"], "measurements[0]"),
+        ("x", "measurements[0]"),
+        (["0" * 16] * 21, "at most 20"),
+        ([16 * "0"], "0000"),
+    ],
+)
+def test_files_that_are_none(client: TestClient, measurements: Any, says: str) -> None:
+    body = {"measurements": measurements, "effects": ["yeoh"], "model": "none"}
+    answer = client.post("/v1/adoptions", json=body)
+    assert answer.status_code in (404, 422)
+    assert says in answer.json()["error"]["message"]
+
+
+def test_the_schema_knows_one_file_and_several(client: TestClient) -> None:
+    schemas = client.get("/openapi.json").json()["components"]["schemas"]
+    kinds = schemas["AdoptionIn"]["properties"]["measurements"]["anyOf"]
+    assert [one["type"] for one in kinds] == ["string", "array"]
 
 
 def test_no_answer_fails_or_is_mixed_while_versions_change(
