@@ -116,4 +116,6 @@ def show(found: Adopted) -> None:
     where = ""
     if found.home is not None and found.in_use:
         where = f" It is in use in {found.home.folder}."
+    if version.surrogate is not None:
+        where += " It has a surrogate."
     print(f"\n{version.folder}: version {named(version)}, on {version.parent}.{where}")

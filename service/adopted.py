@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.effects import catalogue
+from datagen.errors import FileError
 from datagen.model import GENERATOR_VERSION
 from discrepancy.adopt import Adoption, joined
 from discrepancy.adopt import adopt as fit
@@ -63,6 +64,7 @@ class Adopted:
         return adoption_json(self.made, self.version) | {
             "workspace": str(self.home.folder) if self.home else None,
             "in_use": self.in_use,
+            "surrogate": self.version.surrogate is not None,
             "warnings": self.warnings,
         }
 
@@ -147,9 +149,21 @@ def adopted(
             page = _page(study, made, version, lineage) if report else ""
         if written is None:
             version = version.save(folder, own)
+    lineage += _inherited(version, parent)
     if home is not None and use:
         home.use(folder.name)
     return Adopted(made, version, home, home is not None and use, tuple(lineage), page)
+
+
+def _inherited(version: ModelVersion, parent: ModelVersion | None) -> list[str]:
+    """Give a version its parent's surrogate where that serves; what failed, a line."""
+    from .surrogates import hand_on
+
+    try:
+        hand_on(version, parent)
+    except FileError as error:
+        return [f"the parent's surrogate is not taken over: {error}"]
+    return []
 
 
 def _same(

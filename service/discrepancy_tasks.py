@@ -109,6 +109,7 @@ def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
         paths=payload["paths"],
         seed=payload["seed"],
         workers=cores(),
+        restart=payload["restart"],
         report=update,
     )
     return about(made)

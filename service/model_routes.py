@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -107,7 +108,9 @@ def train(name: str, body: SurrogateIn, service: Shared) -> Response:
     """
     found = service.switch.workspace.find(name)
     assert found.version is not None
-    payload = {"folder": str(found.version.folder), **body.model_dump()}
+    # Each new beginning has a name: a job that is run again after a kill goes on.
+    restart = {"restart": uuid.uuid4().hex if body.restart else ""}
+    payload = {"folder": str(found.version.folder), **body.model_dump(), **restart}
     key = payload_key(payload, "surrogate", found.version.version, service.release)
     return accepted(service.store.submit("surrogate", payload, key))
 

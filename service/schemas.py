@@ -247,6 +247,9 @@ class SurrogateIn(Strict):
     minutes: float | None = Field(default=None, ge=0.1, le=10_000)
     paths: Whole | None = Field(default=None, ge=1, le=100_000)
     seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
+    restart: bool = Field(
+        default=False, description="discard what was begun or is there"
+    )
 
 
 class UseIn(Strict):

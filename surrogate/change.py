@@ -260,7 +260,7 @@ def fit_corrected(
             "change_fit": report | {"shares": shares.tolist()},
         },
         samples=samples,
-        parameters=_nested(tuned_names(space), samples.mean(axis=0)),
+        parameters=nested(tuned_names(space), samples.mean(axis=0)),
     )
     return with_accuracy(model, dataset, increment)
 
@@ -270,7 +270,7 @@ def tuned_names(space: Any) -> tuple[str, ...]:
     return tuple(p.name for p in space if "." in p.name)
 
 
-def _nested(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:
+def nested(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:
     """``{effect: {parameter: value}}``."""
     out: dict[str, dict[str, float]] = {}
     for full, value in zip(names, values, strict=True):

@@ -13,8 +13,10 @@ from discrepancy.folder import read
 from discrepancy.workspace import Workspace
 from discrepancy.writing import write_measurements
 from service.cli import main
+from service.surrogates import load
 from tests.discrepancy.made import MISMATCH, measured
 from tests.discrepancy.versions import OWN, own_folder
+from tests.service.test_surrogates import learned_over
 
 PLANTED = -0.0005
 
@@ -130,6 +132,30 @@ def test_several_files_are_one_set(pba: Any, folder: Path) -> None:
     )  # fmt: skip
     assert any("one.csv, which the parent was fitted to" in w for w in lost["warnings"])
     assert lost["workspace"] == "." and lost["in_use"]
+
+
+def test_more_measurements_keep_the_surrogate(pba: Any, folder: Path) -> None:
+    """What the parent has learned holds for the new fit."""
+    where = ("--workspace", "fast", "--json")
+    base = the_json(pba("adopt", "cure_mismatch", "one.csv", "--out", "base", *where))
+    assert base["surrogate"] is False
+    learned_over(-0.001, 0.0, folder / "fast" / "base" / "surrogate")
+    files = ("one.csv", "rest.csv")
+    more = the_json(
+        pba("adopt", "cure_mismatch", *files, "--on", "base", "--out", "more", *where)
+    )
+    assert more["surrogate"] is True
+    made = read(folder / "fast" / "more")
+    found = load(made)
+    assert found is not None and found.version == made.version
+    assert found.corrected.samples.mean() == pytest.approx(made.mean[0], abs=1e-5)
+    (folder / "fast" / "base" / "surrogate" / "model.json").write_text("{")
+    less = the_json(
+        pba("adopt", "cure_mismatch", "one.csv", "--on", "base", "--out", "less",
+            "--no-use", *where)
+    )  # fmt: skip
+    assert less["surrogate"] is False
+    assert any("surrogate is not taken over" in line for line in less["warnings"])
 
 
 def test_an_effect_of_ones_own_travels(pba: Any, folder: Path) -> None:
