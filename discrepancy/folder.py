@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -119,6 +119,39 @@ def vacant(folder: Path) -> None:
         raise FileError(folder, "exists already; a version is written to a new folder")
     if not folder.parent.is_dir():
         raise FileError(folder, "its parent folder does not exist")
+
+
+def own_files(version: ModelVersion) -> dict[str, str]:
+    """Its own effect files by name, each byte as the character of that number.
+
+    So they can travel as JSON whatever their encoding is; see `unpacked`.
+
+    Raises
+    ------
+    FileError
+        When one cannot be read.
+    """
+    found = {}
+    for name in sorted(set(version.own.values())):
+        assert version.effects_dir is not None
+        path = version.effects_dir / name
+        try:
+            found[name] = path.read_bytes().decode("latin-1")
+        except OSError as error:
+            raise FileError(path, f"cannot be read: {reason(error)}") from error
+    return found
+
+
+@contextmanager
+def unpacked(files: Mapping[str, str]) -> Iterator[Path | None]:
+    """A folder with the files of `own_files`, while in the block; None without any."""
+    if not files:
+        yield None
+        return
+    with TemporaryDirectory(prefix="pba-effects-") as folder:
+        for name, text in files.items():
+            (Path(folder) / name).write_bytes(text.encode("latin-1"))
+        yield Path(folder)
 
 
 @contextmanager

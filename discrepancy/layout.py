@@ -17,8 +17,9 @@ from typing import Any
 from datagen.atomic import reason
 from datagen.errors import FileError
 
-SCHEMA, SCHEMA_VERSION = "pba-model-version", 1
-"""Raised whenever an older reader would misread a newer folder."""
+SCHEMA, SCHEMA_VERSION = "pba-model-version", 2
+"""Raised whenever an older reader would misread a newer folder.  2: ids leave names of
+files and warnings out."""
 
 MODEL, EFFECTS, SURROGATE = "model.json", "effects", "surrogate"
 

@@ -362,12 +362,15 @@ class ModelVersion:
     def version(self) -> str:
         """Id: twelve hexadecimal digits of what decides its answers.
 
-        When and from which commit it was made is left out: the same fit to the same
-        files has the same id.
+        When and from which commit it was made, what it warns of and what the files of
+        measurements are called is left out: the same fit to the same bytes has the
+        same id.
         """
         content = self.to_json()
-        for name in ("date", "commit", "package"):
+        for name in ("date", "commit", "package", "warnings"):
             del content[name]
+        for file in content["measurements"]:
+            del file["name"]
         return content_hash(content)[:DIGITS]
 
     def to_json(self) -> dict[str, Any]:

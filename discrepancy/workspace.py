@@ -5,6 +5,7 @@
     WORKSPACE/
       current.json   the version in use, and those in use before it
       NAME/          a version, see `layout`
+      .lock          held by whoever changes what is in use, or removes a version
 
 A workspace belongs to one lab and its batches: versions of one never serve another.
 The one in use changes by renaming one small file, so that a reader sees the old one or
@@ -13,12 +14,14 @@ the new one.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
 import shutil
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,7 +34,7 @@ from .layout import BASELINE, is_version, record
 if TYPE_CHECKING:
     from .version import ModelVersion
 
-CURRENT = "current.json"
+CURRENT, LOCK = "current.json", ".lock"
 
 SCHEMA, SCHEMA_VERSION = "pba-workspace", 1
 
@@ -45,6 +48,13 @@ SHORTEST = 4
 
 KEPT = 100
 """Versions in use before, as far back as `Workspace.undo` goes."""
+
+Ready = Callable[["ModelVersion"], object]
+"""Called with a version before it comes into use; by raising it forbids that."""
+
+
+class UnknownModel(InputError):
+    """A workspace has no model of this name or id."""
 
 
 def default_workspace() -> Path:
@@ -115,15 +125,23 @@ class Workspace:
             if NAME.fullmatch(path.name) and is_version(path)
         ]
 
-    def find(self, text: str) -> Entry:
+    def find(self, text: str, field: str = "model") -> Entry:
         """A version by its name, its id, or the first digits of its id.
+
+        Parameters
+        ----------
+        text : str
+        field : str
+            Name of what holds it, for errors.
 
         Raises
         ------
         FileError
             When that version cannot be read.
+        UnknownModel
+            When there is none.
         InputError
-            When there is none, or several ids begin so.
+            When several ids begin so.
         """
         entries = self.entries()
         found = [one for one in entries if one.name == text]
@@ -133,14 +151,15 @@ class Workspace:
                 for one in entries
                 if one.version is not None and one.version.version.startswith(text)
             ]
-        if len(found) == 1:
-            if found[0].version is None:
-                raise FileError(self.folder / found[0].name, _why(found[0]))
-            return found[0]
-        names = [one.name for one in entries]
-        if found:
-            names = [one.name for one in found]
-        raise InputError("model", text, ", ".join([BASELINE, *names]))
+        if not found:
+            names = ", ".join([BASELINE, *(one.name for one in entries)])
+            raise UnknownModel(field, text, names)
+        if found[0].version is None:
+            raise FileError(self.folder / found[0].name, _why(found[0]))
+        # Folders with one id are the same model: either will do.
+        if len({one.version.version for one in found if one.version}) > 1:
+            raise InputError(field, text, ", ".join(one.name for one in found))
+        return found[0]
 
     def current(self) -> Entry | None:
         """The version in use; None for the baseline.
@@ -173,35 +192,80 @@ class Workspace:
         except OSError as error:
             raise FileError(self.folder, f"cannot be made: {reason(error)}") from error
 
-    def use(self, text: str) -> str:
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Alone in changing what is in use, among all threads and processes.
+
+        Raises
+        ------
+        FileError
+            When the lock cannot be opened.
+        """
+        if not self.folder.is_dir():  # there is nothing in it to be changed
+            yield
+            return
+        try:
+            lock = (self.folder / LOCK).open("a")
+        except OSError as error:
+            raise FileError(
+                self.folder / LOCK, f"cannot be opened: {reason(error)}"
+            ) from error
+        with lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def use(self, text: str, ready: Ready | None = None) -> str:
         """Put a version into use, or the baseline; the name of what is in use now.
+
+        Parameters
+        ----------
+        text : str
+        ready : callable, optional
+            As `Ready`.
 
         Raises
         ------
         FileError, InputError
             When there is no such version, or it is damaged.
         """
-        name = BASELINE if text == BASELINE else self.find(text).name
-        history = self._history()
-        if history[-1] != name:
-            self._write([*history, name])
-        return name
+        with self._locked():
+            name = BASELINE if text == BASELINE else self._usable(text, ready)
+            history = self._history()
+            if history[-1] != name:
+                self._write([*history, name])
+            return name
 
-    def undo(self) -> str:
+    def undo(self, ready: Ready | None = None) -> str:
         """Go back to what was in use before; its name.
+
+        Parameters
+        ----------
+        ready : callable, optional
+            As `Ready`.
 
         Raises
         ------
-        InputError
-            When nothing was.
+        FileError, InputError
+            When nothing was, or it is damaged or not there any more.
         """
-        history = self._history()
-        if len(history) < 2:
-            raise InputError(
-                "undo", history[-1], "a workspace where something was in use before"
-            )
-        self._write(history[:-1])
-        return history[-2]
+        with self._locked():
+            history = self._history()
+            if len(history) < 2:
+                raise InputError(
+                    "undo", history[-1], "a workspace where something was in use before"
+                )
+            if history[-2] != BASELINE:
+                self._usable(history[-2], ready)
+            self._write(history[:-1])
+            return history[-2]
+
+    def _usable(self, text: str, ready: Ready | None) -> str:
+        """Name of a version that is whole."""
+        found = self.find(text)
+        assert found.version is not None
+        if ready is not None:
+            ready(found.version)
+        return found.name
 
     def remove(self, text: str, force: bool = False) -> tuple[str, ...]:
         """Delete a version; the lines that say what came of it.
@@ -220,14 +284,21 @@ class Workspace:
         FileError
             When it cannot be deleted; it is all there then.
         """
+        with self._locked():
+            return self._remove(text, force)
+
+    def _remove(self, text: str, force: bool) -> tuple[str, ...]:
         name, identity = self._removable(text)
-        children = [
-            one.name
+        others = {
+            one.name: one.version
             for one in self.entries()
-            if one.version is not None
-            and one.version.parent == identity
-            and one.name != name
+            if one.version is not None and one.name != name
+        }
+        children = [
+            one for one, version in others.items() if version.parent == identity
         ]
+        if any(version.version == identity for version in others.values()):
+            children = []  # another folder holds the same model
         history = self._history()
         if history[-1] == name and not force:
             raise InputError("model", name, "a version that is not in use, or --force")
@@ -312,16 +383,14 @@ def _why(entry: Entry) -> str:
     return entry.problem.partition(": ")[2] or entry.problem
 
 
-def is_workspace(folder: Path) -> bool:
-    """True for a folder with a version in it, or where one was in use."""
-    return bool((folder / CURRENT).is_file() or Workspace(folder)._folders())
+def place(
+    out: str, workspace: Path | None = None, field: str = "--out"
+) -> tuple[Path, Workspace | None]:
+    """Where a new version goes, and the workspace where it is to come into use.
 
-
-def place(out: str, workspace: Path | None = None) -> tuple[Path, Workspace | None]:
-    """Where a new version goes, and the workspace it is part of.
-
-    A bare name goes into the workspace; a path goes where it says, and is part of a
-    workspace where its folder is one.
+    A bare name goes into the workspace.  A path goes where it says; only in the folder
+    of the workspace is it one of its versions, so that no other folder comes to be a
+    workspace with something in use by a version that was written there.
 
     Parameters
     ----------
@@ -329,6 +398,8 @@ def place(out: str, workspace: Path | None = None) -> tuple[Path, Workspace | No
         A name, or a path with a separator in it (``./mine``).
     workspace : Path, optional
         `default_workspace` where it is not given.
+    field : str
+        Name of what holds `out`, for errors.
 
     Raises
     ------
@@ -337,37 +408,48 @@ def place(out: str, workspace: Path | None = None) -> tuple[Path, Workspace | No
     """
     chosen = workspace or default_workspace()
     folder = chosen / out if _bare(out) else Path(out)
-    inside = folder.parent.resolve() == chosen.resolve()
-    if not inside and not is_workspace(folder.parent):
+    if folder.parent.resolve() != chosen.resolve():
         return folder, None
     if not NAME.fullmatch(folder.name) or folder.name in (BASELINE, CURRENT):
         raise InputError(
-            "--out",
+            field,
             folder.name,
             f"letters, digits, '.', '_' and '-', not {BASELINE!r} or {CURRENT!r}",
         )
     return folder, Workspace(folder.parent)
 
 
-def locate(text: str, workspace: Path | None = None) -> Path:
-    """Folder of a model: of that path, or the version of that name in the workspace.
+def locate(text: str, workspace: Path | None = None, field: str = "model") -> Path:
+    """Folder of a model: the version of that name in the workspace, or that path.
+
+    A bare name means the workspace first, as in `Workspace.use`.
 
     Parameters
     ----------
     text : str
-        A folder, or the name or id of a version.
+        The name or id of a version, or a folder.
     workspace : Path, optional
         `default_workspace` where it is not given.
+    field : str
+        Name of what holds `text`, for errors.
 
     Raises
     ------
+    FileError
+        When that version cannot be read.
     InputError
-        When the workspace has no such version.
+        When there is neither such a version nor such a folder, or several ids begin
+        so.
     """
     known = Workspace(workspace or default_workspace())
-    if Path(text).exists() or not _bare(text) or not known.folder.is_dir():
+    if not _bare(text) or not known.folder.is_dir():
         return Path(text)
-    return known.folder / known.find(text).name
+    try:
+        return known.folder / known.find(text, field).name
+    except UnknownModel:
+        if Path(text).exists():
+            return Path(text)
+        raise
 
 
 def _bare(text: str) -> bool:

@@ -114,7 +114,9 @@ def show(found: Adopted) -> None:
     for line in found.warnings:
         print(f"Warning: {line}")
     where = ""
-    if found.home is not None and found.in_use:
+    if found.home is None:
+        where = " It is in no workspace: --model names it by its folder."
+    elif found.in_use:
         where = f" It is in use in {found.home.folder}."
     if version.surrogate is not None:
         where += " It has a surrogate."

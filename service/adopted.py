@@ -99,7 +99,8 @@ def adopted(
     out : str
         Folder of the version, or its bare name in the workspace.
     on : str
-        A version whose effects are kept and fitted together with these.
+        A version whose effects are kept and fitted together with these; none where it
+        is empty or the baseline.
     workspace : Path, optional
         The default one where it is not given.
     effects_dir : Path, optional
@@ -119,21 +120,18 @@ def adopted(
         When something is not allowed; nothing is written then.
     """
     everything = joined(measured)
-    parent = ModelVersion.load(locate(on, workspace)) if on else None
+    parent = None
+    if on and on != BASELINE:
+        parent = ModelVersion.load(locate(on, workspace, "on"))
     names = _all(names, parent)
     folder, home = place(out, workspace)
     if home is not None:
         home.make()
     lineage = _lineage(parent, measured)
-    built_on = BASELINE if parent is None else parent.version
+    written = made_before(folder, names, measured, parent, level, seed, effects_dir)
+    if written is None:
+        vacant(folder)
     with effects_of(parent, effects_dir) as own:
-        written = None
-        if is_version(folder):
-            there = ModelVersion.load(folder)
-            request = (built_on, names, measured, level, seed)
-            written = there if _same(there, own, *request) else None
-        if written is None:
-            vacant(folder)
         with solving as solver:
             study = Study(
                 everything, solver, level=level, effects=names, effects_dir=own
@@ -141,7 +139,7 @@ def adopted(
             made = fit(study, names, seed)
             version = written or ModelVersion.of(
                 made,
-                parent=built_on,
+                parent=BASELINE if parent is None else parent.version,
                 files=measured,
                 date=datetime.now(UTC).isoformat(timespec="seconds"),
             )
@@ -166,29 +164,42 @@ def _inherited(version: ModelVersion, parent: ModelVersion | None) -> list[str]:
     return []
 
 
-def _same(
-    version: ModelVersion,
-    effects_dir: Path | None,
-    parent: str,
+def made_before(
+    folder: Path,
     names: Sequence[str],
     measured: Sequence[Measurements],
+    parent: ModelVersion | None,
     level: str,
     seed: int,
-) -> bool:
-    """Whether a version was made from these, with effects written as they are now."""
-    known = catalogue(effects_dir)
-    return (
-        version.parent == parent
-        and version.effects == tuple(names)
+    effects_dir: Path | None = None,
+) -> ModelVersion | None:
+    """The version that is in a folder, if it was made from just these; else None.
+
+    Effects have to be written as they are now.
+
+    Raises
+    ------
+    EffectError, FileError
+        When a version in it is damaged, or an effect's file is missing.
+    """
+    if not is_version(folder):
+        return None
+    version = ModelVersion.load(folder)
+    chosen = _all(names, parent)
+    with effects_of(parent, effects_dir) as own:
+        known = catalogue(own)
+        sources = {n: digest(source_file(known[n])) for n in chosen if n in known}
+    alike = (
+        version.effects == tuple(chosen)
+        and version.parent == (BASELINE if parent is None else parent.version)
         and version.generator == GENERATOR_VERSION
-        and all(name in known for name in names)
-        and version.sources
-        == {name: digest(source_file(known[name])) for name in names}
+        and version.sources == sources
         and [one.sha256 for one in version.measurements]
         == [one.sha256 for one in measured]
         and (version.level, version.seed) == (level, seed)
         and version.tolerances == measured[0].tolerances
     )
+    return version if alike else None
 
 
 def _page(

@@ -7,6 +7,7 @@ that turns the project's errors into HTTP.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,7 +29,7 @@ from discrepancy.workspace import Workspace, default_workspace
 
 from .answer import Predictor, load_model
 from .bench import MISSING, Words, allowed, count_words, pressure_words
-from .current import Switch
+from .current import ModelNotFound, NoModel, Switch
 from .discrepancy_routes import router as discrepancy_router
 from .jobs import JobNotFound, JobStore, Kind, TooManyJobs, describe
 from .measurements import MeasurementsNotFound
@@ -45,8 +46,10 @@ HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
     (EffectError, 422),
     (JobNotFound, 404),
     (MeasurementsNotFound, 404),
+    (ModelNotFound, 404),
     (MeasurementError, 422),
     (TooManyJobs, 503),
+    (NoModel, 503),
     (WorkerDied, 500),
     (FileError, 500),
     (PbaError, 500),
@@ -89,7 +92,8 @@ class Settings:
     Parameters
     ----------
     state : Path
-        Folder of the jobs and their files.
+        Folder of the jobs and their files, those of each workspace in a folder of
+        their own.
     model : Path, optional
         Folder of the ensemble; the shipped reference model where not given.
     database_url : str, optional
@@ -97,7 +101,8 @@ class Settings:
     wait : float, s
         How long a request waits for the finite elements before it answers 202.
     workspace : Path
-        Folder of the model versions; the one in use there answers.
+        Folder of the model versions; the one in use there answers.  A relative path
+        counts from the current folder of now, not from that of a later restart.
     kinds : mapping of str to Kind
     fem_version : callable
         From mesh level to what makes the numbers of the finite elements.
@@ -114,6 +119,14 @@ class Settings:
     def __post_init__(self) -> None:
         if not 0 <= self.wait <= 3600:
             raise InputError("--wait", self.wait, "a number from 0 to 3600 s", "s")
+        for name in ("state", "workspace"):
+            object.__setattr__(self, name, getattr(self, name).resolve())
+
+    @property
+    def kept(self) -> Path:
+        """Where jobs and files of this workspace are kept, apart from all others'."""
+        name = hashlib.sha256(os.fsencode(self.workspace)).hexdigest()[:16]
+        return self.state / name
 
     def open_store(self) -> JobStore:
         """The job store of this server.
@@ -121,11 +134,11 @@ class Settings:
         Raises
         ------
         InputError
-            When another server uses the state folder.
+            When another server uses the state folder for this workspace.
         FileError
             When the state folder or the database cannot be used.
         """
-        return JobStore(self.state, self.kinds, self.database_url)
+        return JobStore(self.kept, self.kinds, self.database_url)
 
 
 def create_app(
@@ -159,7 +172,7 @@ def create_app(
         app.state.service = Service(
             Switch(model, name, Workspace(chosen.workspace)),
             jobs,
-            chosen.state,
+            chosen.kept,
             chosen.wait,
             chosen.fem_version,
             version(),

@@ -198,9 +198,9 @@ def predict(
                 answer = fem_answer(
                     fem, fem_version(level), design, pressure, False, check.reasons
                 )
-    lists = answer.to_columns()
+    lists = answer.to_columns() | {"parameters": {}}
     if version is not None:
-        lists |= {"effects": version.parameters(), "version": version.version}
+        lists |= {"parameters": version.parameters(), "version": version.version}
     if as_json:
         print_json(lists)
         return
@@ -383,19 +383,31 @@ def train(
 @app.command()
 def accuracy(
     model: Annotated[
-        Path, Argument(metavar="MODEL", help="Folder of a trained model.")
+        str,
+        Argument(
+            metavar="MODEL",
+            help="Folder of a trained model, or folder, name or id of a model version.",
+        ),
     ],
-    dataset: Annotated[Path, Argument(metavar="DATASET", help="HDF5 file of paths.")],
+    dataset: Annotated[
+        Path | None,
+        Argument(
+            metavar="DATASET",
+            help="HDF5 file of paths; those that a version learned from without it.",
+        ),
+    ] = None,
+    workspace: WorkspaceDir = None,
     as_json: AsJson = False,
 ) -> None:
     """Errors and coverage on designs that were held out from training."""
     from datagen.dataset import Dataset
     from surrogate.accuracy import accuracy as measure
-    from surrogate.ensemble import Ensemble
 
     from .terminal import accuracy_tables
+    from .versions import trained
 
-    found = measure(Ensemble.load(model), Dataset.read(dataset)).to_json()
+    surrogate, paths = trained(model, dataset, workspace)
+    found = measure(surrogate, Dataset.read(paths)).to_json()
     if as_json:
         print_json(found)
         return
@@ -418,7 +430,11 @@ def serve(
         Path | None, Option(metavar="MODEL", help="Folder of a trained model.")
     ] = None,
     state: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder of the jobs; else PBA_STATE.")
+        Path | None,
+        Option(
+            metavar="DIR",
+            help="Folder of the jobs, those of each workspace apart; else PBA_STATE.",
+        ),
     ] = None,
     database_url: Annotated[
         str | None, Option(metavar="URL", help="PostgreSQL for the jobs, not SQLite.")

@@ -7,6 +7,7 @@ jobs, whose results are what the commands print with ``--json``.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -140,11 +141,16 @@ def payload_of(body: MeasuredIn | AdoptionIn, service: Service) -> dict[str, Any
     }
 
 
-def submit(service: Service, kind: str, payload: dict[str, Any]) -> Job:
-    """Accept a job; the same question asked again is the same job."""
+def submit(
+    service: Service,
+    kind: str,
+    payload: dict[str, Any],
+    stands: Callable[[Job], bool] = lambda _done: True,
+) -> Job:
+    """Accept a job; the same question asked again is the same job while it stands."""
     key = payload_key(payload, kind, fem_version(payload["level"]), service.release)
     out = {} if kind == "compare" else {"out": _report(service, kind, key)}
-    return service.store.submit(kind, payload | out, key)
+    return service.store.submit(kind, payload | out, key, stands)
 
 
 def _report(service: Service, kind: str, key: str) -> str:

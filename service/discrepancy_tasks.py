@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from datagen.errors import InputError
+
 from .workers import Report
 
 if TYPE_CHECKING:
@@ -33,7 +35,8 @@ def _solver(payload: Mapping[str, Any], report: Report) -> Iterator[Solver]:
         yield solver
 
 
-def _measured(payload: Mapping[str, Any]) -> list[Measurements]:
+def measured_of(payload: Mapping[str, Any]) -> list[Measurements]:
+    """The measurements that a job is about, a file each."""
     from discrepancy.measurement import Tolerances
     from discrepancy.reading import read_measurements
 
@@ -50,7 +53,7 @@ def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     level = payload["level"]
     with _solver(payload, report) as solver:
-        (measured,) = _measured(payload)
+        (measured,) = measured_of(payload)
         study = Study(measured, solver, level=level, fast=level, effects=())
         return comparison_json(hold(study), level)
 
@@ -59,7 +62,7 @@ def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     """The object of ``pba rank --json``; the report is the job's file."""
     from .ranked import ranked
 
-    (measured,) = _measured(payload)
+    (measured,) = measured_of(payload)
     with _solver(payload, report) as solver:
         found = ranked(
             measured,
@@ -80,7 +83,7 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     found = adopted(
         payload["effects"],
-        _measured(payload),
+        measured_of(payload),
         _solver(payload, report),
         out=payload["model"],
         on=payload["on"],
@@ -103,8 +106,11 @@ def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     def update(stage: str, done: int, total: int, left: float | None) -> None:
         report({"what": stage, "done": done, "total": total, "seconds_left": left})
 
+    version = read(Path(payload["folder"]))
+    if version.version != payload["version"]:
+        raise InputError("model", version.version, payload["version"])
     made = train(
-        read(Path(payload["folder"])),
+        version,
         minutes=payload["minutes"],
         paths=payload["paths"],
         seed=payload["seed"],

@@ -16,7 +16,7 @@ import sqlite3
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from datagen.errors import EffectError, FileError, InputError, PbaError
 from discrepancy.table import MeasurementError
 
+from .current import ModelNotFound, NoModel
 from .measurements import MeasurementsNotFound
 from .workers import Worker, WorkerDied
 
@@ -84,7 +85,9 @@ ERROR_TYPES: tuple[tuple[type[PbaError], str], ...] = (
     (WorkerDied, "worker"),
     (JobNotFound, "not_found"),
     (MeasurementsNotFound, "not_found"),
+    (ModelNotFound, "not_found"),
     (TooManyJobs, "busy"),
+    (NoModel, "no_model"),
     (PbaError, "error"),
 )
 """Errors by the name they have in answers; the first that fits counts."""
@@ -159,7 +162,8 @@ class JobStore:
         Folder of the job database, made when missing; one server at a time.
     kinds : mapping of str to Kind
     database_url : str, optional
-        PostgreSQL for the jobs of several servers, each with a state folder.
+        PostgreSQL for the jobs of several servers, each with a state folder; none sees
+        another's.
 
     Raises
     ------
@@ -189,7 +193,8 @@ class JobStore:
         try:
             self._lock = _lock(state)
             try:
-                self._launch(database_url or f"sqlite:///{state / DATABASE}", state)
+                self._identity = _identity(state)
+                self._launch(database_url or f"sqlite:///{state / DATABASE}")
             except BaseException:
                 self._lock.close()
                 raise
@@ -197,7 +202,7 @@ class JobStore:
             _ONE.release()
             raise
 
-    def _launch(self, url: str, state: Path) -> None:
+    def _launch(self, url: str) -> None:
         from dbos import DBOS, DBOSPortableJSONSerializer
         from dbos import error as dbos_error
         from sqlalchemy.exc import SQLAlchemyError
@@ -207,7 +212,7 @@ class JobStore:
             "system_database_url": url,
             # Fixed: a newer version of the program finishes the older one's jobs.
             "application_version": "1",
-            "executor_id": _identity(state),
+            "executor_id": self._identity,
             "log_level": "CRITICAL",  # a failure to launch is raised, in one line
             "serializer": DBOSPortableJSONSerializer(),
             # Not used here, but closing waits for its thread.
@@ -232,7 +237,11 @@ class JobStore:
         log.setLevel("ERROR")
 
     def submit(
-        self, kind: str, payload: Mapping[str, Any], key: str | None = None
+        self,
+        kind: str,
+        payload: Mapping[str, Any],
+        key: str | None = None,
+        stands: Callable[[Job], bool] = lambda _done: True,
     ) -> Job:
         """Accept a job; once this returns, it survives the server.
 
@@ -244,6 +253,9 @@ class JobStore:
         key : str, optional
             What makes this job the same as another one.  A job with this key that is
             open or done is returned in place of a new one.
+        stands : callable
+            Whether what a done job has brought about is still so; else it is done
+            again.
 
         Raises
         ------
@@ -251,11 +263,12 @@ class JobStore:
         """
         if key is None:
             return self._start(f"{kind}-{uuid.uuid4().hex[:16]}", kind, payload)
-        job_id = f"{kind}-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+        own = hashlib.sha256(f"{self._identity} {key}".encode()).hexdigest()[:16]
+        job_id = f"{kind}-{own}"
         with self._submitting:
             earlier = self._find(prefix=job_id)
             for job in earlier:
-                if job.status in (*OPEN, "done"):
+                if job.status in OPEN or (job.status == "done" and stands(job)):
                     return job
             again = f"-{len(earlier) + 1}" if earlier else ""
             return self._start(job_id + again, kind, payload)
@@ -279,7 +292,7 @@ class JobStore:
         from dbos import DBOS
 
         status = DBOS.get_workflow_status(job_id)
-        if status is None:
+        if status is None or status.executor_id != self._identity:
             raise JobNotFound(f"no job has the id {job_id!r}")
         return self._job(status)
 
@@ -333,7 +346,10 @@ class JobStore:
         from dbos import DBOS
 
         found = DBOS.list_workflows(
-            workflow_id_prefix=prefix, limit=limit, sort_desc=True
+            workflow_id_prefix=prefix,
+            limit=limit,
+            sort_desc=True,
+            executor_id=self._identity,
         )
         return [self._job(status) for status in found]
 

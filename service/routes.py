@@ -73,20 +73,22 @@ class Service:
         level: str,
         check: RangeCheck,
     ) -> Job:
-        """A finite-element prediction as a job; the same request is the same job."""
+        """A finite-element prediction as a job; the same request is the same job.
+
+        It takes along all that it needs of the version in use.
+        """
         payload = {
             "design": design.to_dict(),
             "pressure": pressure.tolist(),
             "level": level,
             "in_range": check.in_range,
             "reasons": list(check.reasons),
+            "notes": list(serving.notes),
+            "adopted": serving.adopted,
         }
         same = payload | {"design": design_columns(design)}
-        versions = [self.fem_version(level)]
-        if serving.version is not None:
-            payload |= {"adopted": str(serving.version.folder)}
-            versions.append(serving.version.version)
-        return self.store.submit("predict", payload, payload_key(same, *versions))
+        key = payload_key(same, self.fem_version(level))
+        return self.store.submit("predict", payload, key)
 
     async def ended(self, job: Job, wait: float) -> Job:
         """The job after it has ended, or after `wait` seconds as it then stands."""
@@ -147,7 +149,7 @@ async def predict(body: PredictIn, service: Shared) -> Any:
     return job.result
 
 
-@router.post("/v1/check", responses=BODY)
+@router.post("/v1/check", responses=BODY | errors(503))
 async def check(body: CheckIn, service: Shared) -> CheckOut:
     """What a request means, and whether the surrogate would answer it."""
     design = body.design.design()
@@ -230,7 +232,7 @@ def effects() -> dict[str, Any]:
 
 
 def known_effects(names: list[str]) -> None:
-    """Refuse names that the catalogue has not.
+    """Refuse names that the catalogue has not, or that come twice.
 
     Raises
     ------
@@ -242,6 +244,8 @@ def known_effects(names: list[str]) -> None:
     for name in names:
         if name not in known:
             raise InputError("effects", name, ", ".join(known))
+        if names.count(name) > 1:
+            raise InputError("effects", name, "each effect once")
 
 
 @router.post(
@@ -306,10 +310,15 @@ def device_figure(design: DesignIn) -> dict[str, Any]:
     return figures.device_figure(design.design())
 
 
-@router.get("/healthz")
+@router.get("/healthz", responses=errors(503))
 def health(service: Shared) -> dict[str, Any]:
-    """Whether the server answers, with what."""
-    return {"status": "ok", "model_version": service.switch.now().model_version}
+    """Whether the server answers, with what; `problem` says why not with another."""
+    serving = service.switch.now()
+    return {
+        "status": "ok",
+        "model_version": serving.model_version,
+        "problem": serving.problem,
+    }
 
 
 def _job(job: Job) -> JobOut:

@@ -15,6 +15,7 @@ from datagen.device import CASES, LIMITS, Design
 from datagen.errors import InputError
 from datagen.response import OUTPUTS
 from datagen.units import BY_FIELD, QUANTITY
+from surrogate.learn import FEWEST_PATHS
 
 from .bench import (
     DEFAULTS,
@@ -236,7 +237,8 @@ class AdoptionIn(JudgedIn):
     model: ModelName = Field(description="name of the new version")
     on: ModelName | None = Field(
         default=None,
-        description="a version whose effects are kept and fitted together with these",
+        description="a version whose effects are kept and fitted together with these; "
+        "baseline: none",
     )
     use: bool = Field(default=True, description="whether it answers from then on")
 
@@ -245,17 +247,25 @@ class SurrogateIn(Strict):
     """How long the surrogate of a version may take: minutes, or a number of paths."""
 
     minutes: float | None = Field(default=None, ge=0.1, le=10_000)
-    paths: Whole | None = Field(default=None, ge=1, le=100_000)
+    paths: Whole | None = Field(default=None, ge=FEWEST_PATHS, le=100_000)
     seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
     restart: bool = Field(
         default=False, description="discard what was begun or is there"
     )
 
+    @model_validator(mode="after")
+    def _one_budget(self) -> SurrogateIn:
+        if self.minutes is not None and self.paths is not None:
+            raise InputError("minutes", self.minutes, "either paths or minutes", "min")
+        return self
+
 
 class UseIn(Strict):
     """Which model is to answer."""
 
-    model: ModelName = Field(description="name or id of a version, or baseline")
+    model: ModelName = Field(
+        description="name or id of a version, or baseline or the base model's name"
+    )
 
 
 class CurveOut(BaseModel):

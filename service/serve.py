@@ -51,7 +51,7 @@ def run(
         where = "127.0.0.1" if host in ("0.0.0.0", "") else host
         print(
             f"pba serves http://{where}:{listener.getsockname()[1]} "
-            f"(jobs in {settings.state}; Ctrl-C stops)",
+            f"(jobs in {settings.kept}; Ctrl-C stops)",
             flush=True,
         )
         with suppress(KeyboardInterrupt):  # raised again after an orderly end

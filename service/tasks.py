@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,33 +16,46 @@ from .answer import fem_answer
 from .workers import Report
 
 
-def fem_version(level: str) -> str:
-    """What makes the numbers of the finite elements, and at which mesh."""
+def fem_version(level: str, adopted: str = "") -> str:
+    """What makes the numbers of the finite elements, and at which mesh.
+
+    Parameters
+    ----------
+    level : str
+    adopted : str
+        Id of the model version whose effects are on.
+    """
     from datagen.model import GENERATOR_VERSION
 
-    return f"fem-{GENERATOR_VERSION}-{level}"
+    return f"fem-{GENERATOR_VERSION}-{level}" + (f"+{adopted}" if adopted else "")
 
 
 def predict(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
-    """One path by finite elements; the result is the body of ``/v1/predict``."""
-    from .versions import adopted_answer, fem_model
+    """One path by finite elements; the result is the body of ``/v1/predict``.
 
-    level = payload["level"]
+    ``adopted`` holds the model version, see `current.Serving.adopted`; None is the
+    baseline.
+    """
+    from datagen.model import Model
+    from discrepancy.folder import unpacked
+
+    from .versions import adopted_answer
+
+    level, version = payload["level"], payload["adopted"]
     asked = (
         Design(**payload["design"]),
         np.asarray(payload["pressure"], dtype=float),
         payload["in_range"],
         payload["reasons"],
     )
-    version = None
-    if payload.get("adopted"):
-        from discrepancy.folder import read
-
-        version = read(Path(payload["adopted"]))
-    with fem_model(version, {}, level, None) as model:
-        if version is not None:
-            return adopted_answer(version, model, level, *asked).to_dict()
-        return fem_answer(model, fem_version(level), *asked).to_dict()
+    if version is None:
+        answer = fem_answer(Model(level=level), fem_version(level), *asked)
+    else:
+        name = fem_version(level, version["version"])
+        with unpacked(version["own"]) as own:
+            model = Model(tuple(version["effects"]), level, version["parameters"], own)
+            answer = adopted_answer(model, name, version["left_open"], *asked)
+    return replace(answer, notes=(*answer.notes, *payload["notes"])).to_dict()
 
 
 def dataset(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:

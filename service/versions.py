@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datagen.device import Design
+from datagen.errors import InputError
 from datagen.units import PRESSURE
 
 from .answer import COVERAGE, Answer, fem_answer, surrogate_answer
@@ -19,6 +20,7 @@ from .tasks import fem_version
 if TYPE_CHECKING:
     from datagen.model import Model
     from discrepancy.version import ModelVersion
+    from surrogate.accuracy import Surrogate
 
 
 def chosen_version(model: str | None, workspace: Path | None) -> ModelVersion | None:
@@ -70,6 +72,39 @@ def named_version(model: str | None, workspace: Path | None) -> ModelVersion | N
     return None if model == BASELINE else read(locate(model, workspace))
 
 
+def trained(
+    model: str, dataset: Path | None, workspace: Path | None
+) -> tuple[Surrogate, Path]:
+    """A surrogate, and a file of paths to judge it by.
+
+    Parameters
+    ----------
+    model : str
+        As in `chosen_version`.
+    dataset : Path or None
+        Of a version, what its surrogate was trained from where it is not given.
+    workspace : Path or None
+
+    Raises
+    ------
+    FileError, InputError
+        When there is no such model, it has no surrogate, or a dataset is needed.
+    """
+    from surrogate.corrected import Corrected
+    from surrogate.ensemble import Ensemble
+    from surrogate.learn import INCREMENT
+
+    version = chosen_version(model, workspace)
+    if version is None:
+        if dataset is None:
+            raise InputError("DATASET", "none", "an HDF5 file of paths")
+        return Ensemble.load(Path(model)), dataset
+    if version.surrogate is None:
+        allowed = "a version with a surrogate (pba models train)"
+        raise InputError("model", model, allowed)
+    return Corrected.load(version.surrogate), dataset or version.surrogate / INCREMENT
+
+
 @contextmanager
 def fem_model(
     version: ModelVersion | None,
@@ -101,8 +136,7 @@ def fem_model(
 
 def fem_name(level: str, version: ModelVersion | None) -> str:
     """What makes the numbers of the finite elements, adopted effects included."""
-    name = fem_version(level)
-    return name if version is None else f"{name}+{version.version}"
+    return fem_version(level, "" if version is None else version.version)
 
 
 def version_answer(
@@ -131,14 +165,26 @@ def version_answer(
             return replace(answer, effects=version.effects)
         reasons = tuple(check.reasons)
     return adopted_answer(
-        version, version.forward(level), level, design, pressure, False, reasons
+        version.forward(level),
+        fem_name(level, version),
+        left_open(version),
+        design,
+        pressure,
+        False,
+        reasons,
     )
 
 
+def left_open(version: ModelVersion) -> dict[str, list[float]]:
+    """Of each fitted parameter, SI, the posterior's samples less their mean."""
+    apart = (version.samples - version.mean).T
+    return {name: own.tolist() for name, own in zip(version.names, apart, strict=True)}
+
+
 def adopted_answer(
-    version: ModelVersion,
     model: Model,
-    level: str,
+    name: str,
+    apart: Mapping[str, Sequence[float]],
     design: Design,
     pressure: np.ndarray,
     in_range: bool,
@@ -152,49 +198,44 @@ def adopted_answer(
 
     Parameters
     ----------
-    version : ModelVersion
     model : Model
         Its finite elements.
-    level : str
-        Of their mesh.
+    name : str
+        What makes these numbers, see `fem_name`.
+    apart : mapping of str to sequence of q float
+        Of `left_open`.
     design : Design
     pressure : (s,) array, Pa
     in_range, reasons
         What the surrogate said of this request.
     """
     answer = fem_answer(
-        model,
-        fem_name(level, version),
-        design,
-        pressure,
-        in_range,
-        reasons,
-        sensitivities=version.names,
+        model, name, design, pressure, in_range, reasons, sensitivities=tuple(apart)
     )
-    return replace(_marginal(version, answer), effects=version.effects)
+    return replace(_marginal(answer, apart), effects=model.effects)
 
 
-def _marginal(version: ModelVersion, answer: Answer) -> Answer:
+def _marginal(answer: Answer, apart: Mapping[str, Sequence[float]]) -> Answer:
     """An answer with derivatives, its interval widened by the posterior."""
     if answer.jacobian is None:  # nothing was fitted
         return answer
-    order = [answer.parameters.index(name) for name in version.names]
     known = np.isfinite(answer.jacobian).all(axis=2)
-    slopes = np.where(known[..., None], answer.jacobian[..., order], 0.0)
-    moved = np.einsum("smk,qk->qsm", slopes, version.samples - version.mean)
+    slopes = np.where(known[..., None], answer.jacobian, 0.0)
+    samples = np.array([apart[one] for one in answer.parameters])
+    moved = np.einsum("smk,kq->qsm", slopes, samples)
     ends = [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]
     low, high = np.quantile(moved, ends, axis=0)
     return replace(
         answer,
         low=answer.value - np.hypot(answer.value - answer.low, np.maximum(-low, 0)),
         high=answer.value + np.hypot(answer.high - answer.value, np.maximum(high, 0)),
-        notes=(*answer.notes, *_notes_on(version, answer, known.all(axis=1))),
+        notes=(*answer.notes, *_notes_on(tuple(apart), answer, known.all(axis=1))),
     )
 
 
-def _notes_on(version: ModelVersion, answer: Answer, known: np.ndarray) -> list[str]:
+def _notes_on(fitted: Sequence[str], answer: Answer, known: np.ndarray) -> list[str]:
     """What the interval holds; `known`, (s,) bool, are steps with derivatives."""
-    names = ", ".join(version.names)
+    names = ", ".join(fitted)
     lines = [
         f"{COVERAGE:.0%} interval: the mesh error, and what the measurements left open "
         f"of {names}."

@@ -117,13 +117,19 @@ function download() {
 }
 
 async function start() {
-  const [devices, { models }] = await Promise.all([api.devices(), api.models()]);
-  const model = models.find((one) => one.in_use) ?? models[0];
-  const trained = model.description?.n_train;
-  const effects = model.effects?.length ? ` with ${model.effects.join(", ")}` : "";
-  element("model").textContent =
-    `Model ${model.version}${effects}` +
-    (trained ? `, trained on ${trained} designs` : "");
+  const [devices, { models, problem }] = await Promise.all([
+    api.devices(),
+    api.models(),
+  ]);
+  const model = models.find((one) => one.in_use);
+  const trained = model?.description?.n_train;
+  const effects = model?.effects.length ? ` with ${model.effects.join(", ")}` : "";
+  const parts = [
+    model ? `Model ${model.version}${effects}` : "No model answers",
+    trained ? `trained on ${trained} designs` : "",
+    problem,
+  ];
+  element("model").textContent = parts.filter(Boolean).join(", ");
   view.quantityBoxes(devices.quantities, () => {
     if (answers.length) guarded(() => show(answers, running.signal));
   });

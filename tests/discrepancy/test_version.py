@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +24,7 @@ from discrepancy.folder import effects_of
 from discrepancy.ladder import Rung
 from discrepancy.layout import MODEL, is_version
 from discrepancy.version import ModelVersion
-from discrepancy.workspace import CURRENT, Workspace, locate, place
+from discrepancy.workspace import CURRENT, LOCK, Workspace, locate, place
 from tests.discrepancy.versions import OWN, estimate, own_folder, own_version, version
 
 # -- the record ----------------------------------------------------------------------
@@ -42,6 +46,8 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
 def test_the_id_names_what_decides_the_answers() -> None:
     first = version()
     assert version(date="later", commit="abc", package="9").version == first.version
+    renamed = tuple(replace(one, name="other.csv") for one in first.measurements)
+    assert version(measurements=renamed, warnings=()).version == first.version
     for change in (
         {"mean": np.array([-0.0004])},
         {"samples": first.samples + 1e-12},
@@ -49,6 +55,8 @@ def test_the_id_names_what_decides_the_answers() -> None:
         {"seed": 4},
         {"sources": {"cure_mismatch": "0" * 64}},
         {"generator": "other"},
+        {"measurements": (replace(first.measurements[0], devices=("S1",)),)},
+        {"measurements": (replace(first.measurements[0], sha256="0" * 64),)},
     ):
         assert version(**change).version != first.version, change
 
@@ -139,8 +147,8 @@ def test_other_files_are_refused_in_one_line(tmp_path: Path) -> None:
         ("[]", "is not a model version"),
         ('{"schema": "pba-ensemble"}', "is not a model version"),
         (
-            '{"schema": "pba-model-version", "schema_version": 2}',
-            "has schema version 2; this program reads 1",
+            '{"schema": "pba-model-version", "schema_version": 1}',
+            "has schema version 1; this program reads 2",
         ),
     ):
         path.write_text(text)
@@ -223,6 +231,16 @@ def test_versions_are_found_by_name_and_id(home: Workspace) -> None:
             home.find(text)
 
 
+def test_folders_with_one_id_are_one_model(home: Workspace) -> None:
+    first = home.find("b").version
+    assert first is not None
+    version(date="2026-01-04", warnings=()).save(home.folder / "twin")
+    twin = home.find(first.version)
+    assert twin.version is not None and twin.version.version == first.version
+    assert home.remove("b") == ()  # the parent of `a` is still there
+    assert home.find(first.version).name == "twin"
+
+
 def test_use_and_undo(home: Workspace) -> None:
     assert home.current() is None
     for name in ("a", "b", "b", "baseline", "c"):
@@ -253,7 +271,59 @@ def test_remove_keeps_what_is_needed(home: Workspace) -> None:
         "it was the parent of a",
     )
     assert home.current() is None
-    assert sorted(path.name for path in home.folder.iterdir()) == ["a", CURRENT]
+    left = sorted(path.name for path in home.folder.iterdir())
+    assert left == [LOCK, "a", CURRENT]
+
+
+def test_nothing_comes_into_use_that_is_not_ready(home: Workspace) -> None:
+    def ready(one: ModelVersion) -> None:
+        raise FileError(one.folder, "has a damaged surrogate")
+
+    home.use("a")
+    home.use("b")
+    for act in (lambda: home.use("c", ready), lambda: home.undo(ready)):
+        with pytest.raises(FileError, match="damaged surrogate"):
+            act()
+        assert home.current_name == "b"
+    shutil.rmtree(home.folder / "a")
+    with pytest.raises(InputError, match="'a'"):
+        home.undo()
+
+
+def _changes(folder: Path, seed: int, start: Any) -> None:
+    """Body of a process: puts one version after the other into use, removes some."""
+    home, order = Workspace(folder), np.random.default_rng(seed)
+    start.wait()
+    for name in order.permutation([f"v{i}" for i in range(6)]):
+        with suppress(InputError):
+            home.use(str(name))
+        with suppress(InputError):
+            home.remove(str(name), force=bool(order.random() < 0.5))
+
+
+def test_changes_at_a_time_lose_nothing(tmp_path: Path) -> None:
+    home = Workspace(tmp_path)
+    for i in range(8):
+        version(seed=i).save(home.folder / f"v{i}")
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(home.use, [f"v{i}" for i in range(8)]))
+    seen = {home.current_name} | {home.undo() for _ in range(8)}
+    assert seen == {"baseline", *(f"v{i}" for i in range(8))}
+
+    context = get_context("fork")
+    start = context.Barrier(4)
+    others = [
+        context.Process(target=_changes, args=(tmp_path, seed, start))
+        for seed in range(4)
+    ]
+    for one in others:
+        one.start()
+    for one in others:
+        one.join()
+        assert one.exitcode == 0
+    left = {one.name for one in home.entries()}
+    history = json.loads((tmp_path / CURRENT).read_text())
+    assert {*history["before"], history["current"]} <= {"baseline", *left}
 
 
 def test_a_damaged_version_is_listed_and_can_be_removed(home: Workspace) -> None:
@@ -290,8 +360,9 @@ def test_where_a_version_goes(home: Workspace, tmp_path: Path) -> None:
     other = tmp_path / "other"
     assert place("new", home.folder) == (home.folder / "new", home)
     assert place(str(tmp_path / "m"), other) == (tmp_path / "m", None)
-    folder, inside = place(str(home.folder / "new"), other)
-    assert folder == home.folder / "new" and inside == home
+    new = home.folder / "new"  # beside versions, but not of the chosen workspace
+    assert place(str(new), other) == (new, None)
+    assert place(str(new), home.folder) == (new, home)
     for name in ("baseline", ".x", "a b", CURRENT):
         with pytest.raises(InputError, match="--out"):
             place(name, home.folder)
@@ -304,7 +375,13 @@ def test_where_a_version_is(
     assert locate(str(home.folder / "a"), tmp_path) == home.folder / "a"
     assert locate("a", tmp_path / "nothing") == Path("a")
     monkeypatch.setenv("PBA_WORKSPACE", str(home.folder))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a").mkdir()  # a folder of that name here is another thing
     assert locate("a") == home.folder / "a"
+    assert locate("./a") == Path("a")
+    (tmp_path / "d").mkdir()
+    assert locate("d") == Path("d")
+    (tmp_path / "d").rmdir()
     with pytest.raises(PbaError, match="baseline, b, a, c"):
         locate("d")
 

@@ -124,14 +124,47 @@ def predict(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     if special == 15:
         os._exit(9)
     time.sleep(design.lower_thickness / 1e-6 / 1e3)
-    return fem_answer(
+    adopted = payload["adopted"]
+    answer = fem_answer(
         FakeFem(),
-        "fem-fake",
+        f"fem-fake+{adopted['version']}" if adopted else "fem-fake",
         design,
         np.asarray(payload["pressure"], dtype=float),
         payload["in_range"],
         payload["reasons"],
+    )
+    return replace(
+        answer, effects=tuple(adopted["effects"] if adopted else ())
     ).to_dict()
+
+
+def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """Task: a version made by hand, kept and put into use as an adoption is."""
+    from discrepancy.version import Measured
+    from discrepancy.workspace import Workspace
+    from service.discrepancy_tasks import measured_of
+    from tests.discrepancy.versions import version
+
+    home, read = Workspace(FilePath(payload["workspace"])), measured_of(payload)
+    folder = home.folder / payload["model"]
+    made = version(
+        parent=payload["on"] or "baseline",
+        measurements=(Measured(read.source, read.sha256, read.devices),),
+        tolerances=read.tolerances,
+        level=payload["level"],
+        seed=payload["seed"],
+    )
+    if not folder.exists():
+        made.save(folder)
+    if payload["use"]:
+        home.use(folder.name)
+    return {"version": made.version}
+
+
+def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
+    """Task: an empty folder where the surrogate would be."""
+    (FilePath(payload["folder"]) / "surrogate").mkdir()
+    return {"version": payload["version"]}
 
 
 def count(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:

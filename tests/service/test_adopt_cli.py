@@ -120,7 +120,9 @@ def test_several_files_are_one_set(pba: Any, folder: Path) -> None:
     files = ("rest.csv", "one.csv")
     found = the_json(pba("adopt", "cure_mismatch", *files, "--out", "./both", "--json"))
     assert [one["name"] for one in found["measurements"]] == list(files)
-    assert pba("adopt", "cure_mismatch", "effect.csv", "--out", "./whole")[0] == 0
+    status, out, _ = pba("adopt", "cure_mismatch", "effect.csv", "--out", "./whole")
+    assert status == 0 and "in no workspace: --model names it by its folder" in out
+    assert not (folder / "current.json").exists()
     whole, parts = read(folder / "whole"), read(folder / "both")
     assert parts.mean == pytest.approx(whole.mean, abs=0.02 * whole.estimates[0].std)
     again = pba("adopt", "cure_mismatch", "one.csv", "one.csv", "--out", "./x")
@@ -254,6 +256,7 @@ def test_an_effect_that_was_rewritten_is_another_fit(pba: Any, tmp_path: Path) -
         (("viscoelasticity", "effect.csv"), "no reading has one (column time_s)"),
         (("mullins", "nothing.csv"), "nothing.csv"),
         (("mullins", "effect.csv", "--on", "nothing"), "nothing"),
+        (("cure", "effect.csv", "--on", "baseline"), "'cure' is unknown"),
         (("mullins", "effect.csv", "--report", "no/where.html"), "--report"),
         (("mullins", "effect.csv", "--out", "baseline"), "--out: 'baseline'"),
         (("mullins", "effect.csv", "--out", "no/where/m"), "parent folder"),

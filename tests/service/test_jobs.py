@@ -118,6 +118,10 @@ def test_the_same_key_is_the_same_job_unless_it_failed(
     assert store.submit("count", payload, key="other").id != first.id
     ended(store, first)
     assert store.submit("count", payload, key="k").status == "done"
+    undone = store.submit("count", payload, "k", lambda done: done.id != first.id)
+    assert undone.id != first.id
+    ended(store, undone)
+    assert store.submit("count", payload, key="k").id == undone.id
     slow = store.submit("count", counting(tmp_path, 10_000, "slow"), key="slow")
     store.cancel(slow.id)
     again = store.submit("count", counting(tmp_path, 1, "slow2"), key="slow")
@@ -222,7 +226,7 @@ def test_kill_9_and_restart_finishes_every_job(tmp_path: Path) -> None:
         until(lambda: httpx.get(base + dataset).json()["progress"])
         process.send_signal(signal.SIGKILL)
         process.wait()
-    (notes,) = (tmp_path / "state" / "datasets").iterdir()
+    (notes,) = (tmp_path / "state").glob("*/datasets/*")
     time.sleep(0.2)  # the workers have seen that their server is gone
     kept = notes.read_text().split()
     time.sleep(0.3)
@@ -284,6 +288,7 @@ def test_input_errors_travel_from_the_worker(store: JobStore) -> None:
         "pressure": [1e3],
         "in_range": True,
         "reasons": [],
+        "adopted": None,
     }
     job = ended(store, store.submit("predict", payload))
     assert job.status == "failed"

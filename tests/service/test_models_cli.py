@@ -151,11 +151,12 @@ def test_predictions_name_version_and_effects(pba: Any, home: Workspace) -> None
     first = of(home, "first")
     found = the_json(pba("predict", *wanted))
     assert found["source"] == "fem" and found["version"] == first.version
-    assert found["effects"] == {"cure_mismatch": {"difference": -0.0005}}
+    assert found["effects"] == ["cure_mismatch"]
+    assert found["parameters"] == {"cure_mismatch": {"difference": -0.0005}}
     assert found["model_version"].endswith(first.version)
     assert "has no surrogate yet" in found["reasons"][0]
     by_name = the_json(pba("predict", "--model", "second", *wanted))
-    assert by_name["effects"] == {"cure_mismatch": {"difference": -0.0004}}
+    assert by_name["parameters"] == {"cure_mismatch": {"difference": -0.0004}}
     tips = [one["tip_deflection_mm"][0] for one in (by_name, found)]
     assert tips[1] > tips[0] + 0.003
     shown = pba("predict", "--pressures", "10", "--level", "draft")[1]
@@ -165,6 +166,7 @@ def test_predictions_name_version_and_effects(pba: Any, home: Workspace) -> None
     plain = the_json(pba("predict", *wanted))
     assert plain == named and plain["source"] == "surrogate"
     assert "version" not in plain
+    assert (plain["effects"], plain["parameters"]) == ([], {})
 
 
 def test_solve_with_a_version(pba: Any, home: Workspace) -> None:

@@ -272,10 +272,15 @@ def test_training_asked_for_wrongly(client: TestClient) -> None:
         ({"paths": 2.5}, "paths"),
         ({"hours": 1}, "hours"),
         ({"restart": "again"}, "restart"),
+        ({"paths": 15}, "equal to 16"),
+        ({"paths": 20, "minutes": 3.0}, "either paths or minutes"),
     ):
         answer = client.post("/v1/models/first/surrogate", json=body)
-        assert answer.status_code == 422 and word in answer.text
-    assert client.post("/v1/models/none/surrogate", json={}).status_code == 422
+        assert answer.status_code == 422 and word in answer.text, answer.text
+    assert client.post("/v1/models/none/surrogate", json={}).status_code == 404
+    for name in ("baseline", "reference"):
+        answer = client.post(f"/v1/models/{name}/surrogate", json={})
+        assert answer.status_code == 422 and "adopted effects" in answer.text
 
 
 def test_a_new_beginning_is_a_job_of_its_own(

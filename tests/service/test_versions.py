@@ -16,9 +16,11 @@ from datagen.response import OUTPUT_NAMES, Response
 from datagen.response import Path as LoadPath
 from discrepancy.version import ModelVersion
 from service.answer import Answer
+from service.current import Serving
 from service.tasks import predict
-from service.versions import adopted_answer, version_answer
+from service.versions import adopted_answer, left_open, version_answer
 from tests.discrepancy.versions import estimate, version
+from tests.service.fakes import FakeSurrogate
 
 SLOPES = {"bond_edge.growth": 2.0, "cure_mismatch.difference": -30.0}
 MESH_ERROR = 0.04
@@ -31,6 +33,9 @@ class Linear:
 
     Derivatives come in an order of the model's own; the second step has none.
     """
+
+    def __init__(self, effects: tuple[str, ...]) -> None:
+        self.effects = effects
 
     def __call__(
         self,
@@ -77,9 +82,9 @@ def fitted(samples: np.ndarray) -> ModelVersion:
 
 
 def answered(made: ModelVersion) -> Answer:
-    model: Any = Linear()
-    design = named_device("S1")
-    return adopted_answer(made, model, "draft", design, KPA, False, ["no surrogate"])
+    model: Any = Linear(made.effects)
+    asked = (named_device("S1"), KPA, False, ["no surrogate"])
+    return adopted_answer(model, "made up", left_open(made), *asked)
 
 
 def test_the_interval_holds_what_the_posterior_leaves_open() -> None:
@@ -146,7 +151,8 @@ def test_it_is_that_of_the_finite_elements_themselves(tmp_path: Path) -> None:
         "level": "draft",
         "in_range": False,
         "reasons": list(found.reasons),
-        "adopted": str(made.folder),
+        "notes": [],
+        "adopted": Serving("made", FakeSurrogate(), made).adopted,
     }
     body = predict(payload, lambda progress: None)
     for name in ("tip_deflection_mm", "inflation_mm"):

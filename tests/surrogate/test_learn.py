@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,11 +19,13 @@ from datagen.device import named_device
 from datagen.errors import InputError
 from datagen.parts import parts_folder
 from datagen.response import Path as LoadPath
+from service.cli import main
 from surrogate import learn as learning
 from surrogate.corrected import Corrected
 from surrogate.ensemble import Ensemble
 from surrogate.learn import INCREMENT, PLAN, learn
 from tests.datagen.fake_solver import Here
+from tests.discrepancy.versions import version
 from tests.surrogate.learn_process import PATHS, SEED, run
 from tests.surrogate.pairs import QUICK, means
 
@@ -89,6 +92,26 @@ def test_what_is_in_the_folder(finished: Path, dataset: Dataset) -> None:
     assert model.description["increment"] == increment.digest()
     assert model.effects == ("soft", "tilt")
     assert not (finished / "whole.work").exists()
+
+
+def test_the_command_judges_a_versions_surrogate(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the paths that it was trained from, where no others are given."""
+    made = version().save(tmp_path / "first")
+    command = ["accuracy", made.version, "--workspace", str(tmp_path), "--json"]
+    assert main(command) == 2
+    assert "pba models train" in capsys.readouterr().err
+    shutil.copytree(finished / "whole", tmp_path / "first" / "surrogate")
+    model = Corrected.load(finished / "whole")
+    assert main(command) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found == json.loads(json.dumps(model.description["accuracy"]))
+    other = [*command[:2], str(finished / "paths.h5"), *command[2:]]
+    assert main(other) == 2  # without the effects
+    assert "effects" in capsys.readouterr().err
+    assert main(["accuracy", str(finished / "base")]) == 2
+    assert "DATASET" in capsys.readouterr().err
 
 
 def test_other_settings_are_refused(
