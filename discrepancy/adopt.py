@@ -307,28 +307,40 @@ def joined(parts: Sequence[Measurements]) -> Measurements:
     Raises
     ------
     InputError
-        When there is none, two of them name the same device, or tolerances differ.
+        When there is none, two of them hold the same run of a device or state another
+        design for it, or tolerances differ.
     """
     if not parts:
         raise InputError("FILE", "none", "at least one file of measurements")
     if len(parts) == 1:
         return parts[0]
-    owner: dict[str, str] = {}
+    owner: dict[tuple[str, int, float], str] = {}
+    stated: dict[str, tuple[object, str]] = {}
     for part in parts:
         if part.tolerances != parts[0].tolerances:
             raise InputError("tolerances", part.source, "those of the first file")
-        for device in part.devices:
-            if device in owner:
+        for curve in part.curves:
+            design, first = stated.setdefault(curve.device, (curve.design, part.source))
+            if design != curve.design:
                 raise InputError(
                     "device",
-                    device,
-                    f"a device in one file only, not in {owner[device]} and "
-                    f"{part.source}",
+                    curve.device,
+                    f"one design a device: {part.source} states another than {first}",
                 )
-            owner[device] = part.source
+            key = (curve.device, curve.run, curve.orientation)
+            if key in owner:
+                raise InputError(
+                    "run",
+                    curve.run,
+                    f"each run of {curve.device} in one file only, not in {owner[key]} "
+                    f"and {part.source}; number repeated tests in the column 'run'",
+                )
+            owner[key] = part.source
     hashes = "".join(part.sha256 for part in parts)
+    place = {device: i for i, device in enumerate(stated)}
+    curves = [curve for part in parts for curve in part.curves]
     return Measurements(
-        tuple(curve for part in parts for curve in part.curves),
+        tuple(sorted(curves, key=lambda curve: place[curve.device])),
         ", ".join(part.source for part in parts),
         hashlib.sha256(hashes.encode()).hexdigest(),
         tuple(line for part in parts for line in part.warnings),

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from datagen.device import Design
 from datagen.effects import catalogue
 from datagen.errors import InputError
 from datagen.model import GENERATOR_VERSION, Model
@@ -80,12 +81,42 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Measured:
-    """A file of measurements that a version was fitted to: its name, its bytes' hash,
-    and the devices in it."""
+    """A file of measurements that a version was fitted to.
+
+    Parameters
+    ----------
+    name, sha256 : str
+        Of the file, and of its bytes.
+    devices : tuple of str
+    designs : tuple of Design
+        Of its devices as stated, each once, specimens aside; empty in versions that
+        were written before these were kept.
+    """
 
     name: str
     sha256: str
     devices: tuple[str, ...]
+    designs: tuple[Design, ...] = field(default=(), compare=False)
+
+    @classmethod
+    def of(cls, file: Measurements) -> Measured:
+        """What is kept of a file."""
+        designs = [one.design for one in file.curves if isinstance(one.design, Design)]
+        kept = tuple(dict.fromkeys(designs))
+        return cls(file.source, file.sha256, file.devices, kept)
+
+    def to_json(self) -> dict[str, Any]:
+        """As data; designs, SI, only where there are any."""
+        data = asdict(self)
+        if not self.designs:
+            del data["designs"]
+        return data
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Measured:
+        """From `to_json`."""
+        designs = tuple(Design(**one) for one in data.get("designs", ()))
+        return cls(data["name"], data["sha256"], tuple(data["devices"]), designs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,8 +264,7 @@ class ModelVersion:
             covariance=adoption.covariance,
             samples=adoption.samples,
             measurements=tuple(
-                Measured(one.source, one.sha256, one.devices)
-                for one in files or (study.measurements,)
+                Measured.of(one) for one in files or (study.measurements,)
             ),
             tolerances=study.measurements.tolerances,
             level=study.level,
@@ -351,7 +381,7 @@ class ModelVersion:
             if one.name != "folder"
         }
         found["estimates"] = [asdict(one) for one in self.estimates]
-        found["measurements"] = [asdict(one) for one in self.measurements]
+        found["measurements"] = [one.to_json() for one in self.measurements]
         found["tolerances"] = asdict(self.tolerances)
         found["ladder"] = [rung_json(one) for one in self.ladder]
         for name in ("mean", "covariance", "samples"):
@@ -371,8 +401,7 @@ class ModelVersion:
         content: dict[str, Any] = {name: data[name] for name in known}
         content["estimates"] = tuple(Estimate(**one) for one in data["estimates"])
         content["measurements"] = tuple(
-            Measured(one["name"], one["sha256"], tuple(one["devices"]))
-            for one in data["measurements"]
+            Measured.from_json(one) for one in data["measurements"]
         )
         content["tolerances"] = Tolerances(**data["tolerances"])
         content["ladder"] = tuple(_rung(one) for one in data["ladder"])

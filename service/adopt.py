@@ -35,7 +35,7 @@ def adopt(
         list[Path],
         Argument(
             metavar="FILE...",
-            help="Measurements: CSV files or PEtab tables, each with its own devices.",
+            help="Measurements: CSV files or PEtab tables, each with its own runs.",
         ),
     ],
     out: Annotated[
@@ -118,4 +118,6 @@ def show(found: Adopted) -> None:
         where = " It is in no workspace: --model names it by its folder."
     elif found.in_use:
         where = f" It is in use in {found.home.folder}."
+    if version.surrogate is not None:
+        where += " It has a surrogate."
     print(f"\n{version.folder}: version {named(version)}, on {version.parent}.{where}")

@@ -9,11 +9,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from datagen.effects import catalogue
+from datagen.errors import FileError
+from datagen.model import GENERATOR_VERSION
 from discrepancy.adopt import Adoption, joined
 from discrepancy.adopt import adopt as fit
 from discrepancy.folder import effects_of, vacant
 from discrepancy.layout import BASELINE, is_version
 from discrepancy.measurement import Measurements
+from discrepancy.provenance import digest, source_file
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from discrepancy.version import ModelVersion
@@ -60,6 +64,7 @@ class Adopted:
         return adoption_json(self.made, self.version) | {
             "workspace": str(self.home.folder) if self.home else None,
             "in_use": self.in_use,
+            "surrogate": self.version.surrogate is not None,
             "warnings": self.warnings,
         }
 
@@ -77,16 +82,18 @@ def adopted(
     use: bool = True,
     report: bool = False,
     seed: int = 0,
-    again: bool = False,
 ) -> Adopted:
     """Put effects into the model, fitted to measurements, as a new version.
+
+    The version may be there already where it was made in just this way: what was
+    killed after it had written it is run once more, and goes on from there.
 
     Parameters
     ----------
     names : sequence of str
         Effects, in the ladder's order.
     measured : sequence of Measurements
-        Each with its own devices.
+        Each with its own runs.
     solving : context manager of Solver
         Entered when there is something to be solved.
     out : str
@@ -106,9 +113,6 @@ def adopted(
         Whether to write the report's page.
     seed : int
         Of the samples.
-    again : bool
-        Whether a version that was made in just this way may be there already: a job
-        that was killed after it had written it, and is run once more.
 
     Raises
     ------
@@ -123,25 +127,41 @@ def adopted(
     folder, home = place(out, workspace)
     if home is not None:
         home.make()
-    written = None
-    if again:
-        written = made_before(folder, names, measured, parent, level, seed)
+    lineage = _lineage(parent, measured)
+    written = made_before(folder, names, measured, parent, level, seed, effects_dir)
     if written is None:
         vacant(folder)
-    lineage = _lineage(parent, measured)
-    with effects_of(parent, effects_dir) as own, solving as solver:
-        study = Study(everything, solver, level=level, effects=names, effects_dir=own)
-        made = fit(study, names, seed)
-        version = written or ModelVersion.of(
-            made,
-            parent=BASELINE if parent is None else parent.version,
-            files=measured,
-            date=datetime.now(UTC).isoformat(timespec="seconds"),
-        ).save(folder, own)
-        page = _page(study, made, version, lineage) if report else ""
+    with effects_of(parent, effects_dir) as own:
+        with solving as solver:
+            study = Study(
+                everything, solver, level=level, effects=names, effects_dir=own
+            )
+            made = fit(study, names, seed)
+            version = written or ModelVersion.of(
+                made,
+                parent=BASELINE if parent is None else parent.version,
+                files=measured,
+                date=datetime.now(UTC).isoformat(timespec="seconds"),
+            )
+            # Before it is saved: a version that is there is one that was reported.
+            page = _page(study, made, version, lineage) if report else ""
+        if written is None:
+            version = version.save(folder, own)
+    lineage += _inherited(version, parent)
     if home is not None and use:
         home.use(folder.name)
     return Adopted(made, version, home, home is not None and use, tuple(lineage), page)
+
+
+def _inherited(version: ModelVersion, parent: ModelVersion | None) -> list[str]:
+    """Give a version its parent's surrogate where that serves; what failed, a line."""
+    from .surrogates import hand_on
+
+    try:
+        hand_on(version, parent)
+    except FileError as error:
+        return [f"the parent's surrogate is not taken over: {error}"]
+    return []
 
 
 def made_before(
@@ -151,20 +171,29 @@ def made_before(
     parent: ModelVersion | None,
     level: str,
     seed: int,
+    effects_dir: Path | None = None,
 ) -> ModelVersion | None:
     """The version that is in a folder, if it was made from just these; else None.
 
+    Effects have to be written as they are now.
+
     Raises
     ------
-    FileError
-        When a version in it is damaged.
+    EffectError, FileError
+        When a version in it is damaged, or an effect's file is missing.
     """
     if not is_version(folder):
         return None
     version = ModelVersion.load(folder)
+    chosen = _all(names, parent)
+    with effects_of(parent, effects_dir) as own:
+        known = catalogue(own)
+        sources = {n: digest(source_file(known[n])) for n in chosen if n in known}
     alike = (
-        version.effects == tuple(_all(names, parent))
+        version.effects == tuple(chosen)
         and version.parent == (BASELINE if parent is None else parent.version)
+        and version.generator == GENERATOR_VERSION
+        and version.sources == sources
         and [one.sha256 for one in version.measurements]
         == [one.sha256 for one in measured]
         and (version.level, version.seed) == (level, seed)

@@ -92,7 +92,8 @@ class Answer:
         SI names of the quantities.
     value, low, high : (s, m) array, SI
         NaN where the path ended before the load step.  The interval of the finite
-        elements is the value and its `mesh_error` on both sides.
+        elements is the value and its `mesh_error` on both sides; `versions` adds what
+        the measurements of adopted effects left open.
     source : str
         ``surrogate`` or ``fem``.
     in_range : bool
@@ -287,7 +288,7 @@ def fem_answer(
     pressure: np.ndarray,
     in_range: bool = True,
     reasons: Sequence[str] = (),
-    sensitivities: bool = False,
+    sensitivities: bool | Sequence[str] = False,
     beyond: bool = False,
     mesh_error: bool = True,
 ) -> Answer:
@@ -303,8 +304,9 @@ def fem_answer(
     pressure : (s,) array, Pa
     in_range, reasons
         What the surrogate said of this request.
-    sensitivities : bool
-        Differentiate, too; `model` must know how, as `datagen.model.Model` does.
+    sensitivities : bool or sequence of str
+        Differentiate, too, by all or by those named; `model` must know how, as
+        `datagen.model.Model` does.  Not by name where `beyond` is asked for.
     beyond : bool
         At the solver's own steps, too, and on past a limit point where the path turns
         before.
@@ -313,7 +315,7 @@ def fem_answer(
     """
     start = time.perf_counter()
     options = {"sensitivities": sensitivities, "mesh_error": mesh_error}
-    wanted = {name: True for name, asked in options.items() if asked}
+    wanted = {name: asked for name, asked in options.items() if asked}
     if beyond:
         response = model.explore(design, pressure, beyond=True, **wanted)  # type: ignore[attr-defined]
         pressure = response.pressure[0]

@@ -28,6 +28,7 @@ from discrepancy.workspace import CURRENT, Workspace
 
 from .answer import Predictor, RangeCheck
 from .surrogates import load
+from .versions import left_open
 
 
 class ModelNotFound(PbaError):
@@ -106,6 +107,7 @@ class Serving:
             "version": self.version.version,
             "effects": list(self.version.effects),
             "parameters": self.version.parameters(),
+            "left_open": left_open(self.version),
             "own": dict(self.own),
         }
 

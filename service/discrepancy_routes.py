@@ -20,7 +20,7 @@ from datagen.errors import InputError
 from .jobs import Job, payload_key
 from .measurements import MeasurementFiles, tolerances
 from .routes import BODY, Service, Shared, accepted, errors, known_effects
-from .schemas import JobOut, MeasuredIn, MeasurementsOut, RankingIn
+from .schemas import AdoptionIn, JobOut, MeasuredIn, MeasurementsOut, RankingIn
 from .tasks import fem_version
 
 router = APIRouter(responses=errors(422, 500))
@@ -120,15 +120,20 @@ def remove_measurements(identity: str, service: Shared) -> Response:
     return Response(status_code=204)
 
 
-def payload_of(body: MeasuredIn, service: Service) -> dict[str, Any]:
+def payload_of(body: MeasuredIn | AdoptionIn, service: Service) -> dict[str, Any]:
     """What all jobs on measurements share."""
     allowed = tolerances(
         body.modulus_tolerance_pct,
         body.thickness_tolerance_um,
         body.camera_tolerance_pct,
     )
+    asked = body.measurements
+    files = files_of(service)
     return {
-        "file": str(files_of(service).path(body.measurements)),
+        "files": [
+            str(files.path(one))
+            for one in ([asked] if isinstance(asked, str) else asked)
+        ],
         "tolerances": asdict(allowed),
         "level": body.level,
         "seed": body.seed,

@@ -1,8 +1,9 @@
 """Jobs on measurements: compare, rank, adopt; from JSON to JSON.
 
-A payload holds the file, its tolerances as in `discrepancy.measurement.Tolerances`, and
-what the command line's options of the same names say.  Solves are kept in the server's
-state folder: a job that was killed goes on where it was.
+A payload holds the files (one, but for an adoption), their tolerances as in
+`discrepancy.measurement.Tolerances`, and what the command line's options of the same
+names say.  Solves are kept in the server's state folder: a job that was killed goes on
+where it was.
 """
 
 from __future__ import annotations
@@ -34,12 +35,13 @@ def _solver(payload: Mapping[str, Any], report: Report) -> Iterator[Solver]:
         yield solver
 
 
-def measured_of(payload: Mapping[str, Any]) -> Measurements:
-    """The measurements that a job is about."""
+def measured_of(payload: Mapping[str, Any]) -> list[Measurements]:
+    """The measurements that a job is about, a file each."""
     from discrepancy.measurement import Tolerances
     from discrepancy.reading import read_measurements
 
-    return read_measurements(payload["file"], Tolerances(**payload["tolerances"]))
+    allowed = Tolerances(**payload["tolerances"])
+    return [read_measurements(file, allowed) for file in payload["files"]]
 
 
 def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
@@ -51,7 +53,8 @@ def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     level = payload["level"]
     with _solver(payload, report) as solver:
-        study = Study(measured_of(payload), solver, level=level, fast=level, effects=())
+        (measured,) = measured_of(payload)
+        study = Study(measured, solver, level=level, fast=level, effects=())
         return comparison_json(hold(study), level)
 
 
@@ -59,9 +62,10 @@ def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     """The object of ``pba rank --json``; the report is the job's file."""
     from .ranked import ranked
 
+    (measured,) = measured_of(payload)
     with _solver(payload, report) as solver:
         found = ranked(
-            measured_of(payload),
+            measured,
             solver,
             level=payload["level"],
             effects=payload["effects"],
@@ -79,7 +83,7 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
     found = adopted(
         payload["effects"],
-        [measured_of(payload)],
+        measured_of(payload),
         _solver(payload, report),
         out=payload["model"],
         on=payload["on"],
@@ -88,7 +92,6 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
         use=payload["use"],
         report=True,
         seed=payload["seed"],
-        again=True,
     )
     return found.to_json() | {"file": _kept(payload, found.page)}
 
@@ -112,6 +115,7 @@ def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
         paths=payload["paths"],
         seed=payload["seed"],
         workers=cores(),
+        restart=payload["restart"],
         report=update,
     )
     return about(made)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
@@ -157,7 +158,9 @@ def train(name: str, body: SurrogateIn, service: Shared) -> Response:
         raise InputError("model", name, "a version with adopted effects")
     _, version = _version(name, service)
     about = {"folder": str(version.folder), "version": version.version}
-    payload = about | body.model_dump()
+    # Each new beginning has a name: a job that is run again after a kill goes on.
+    restart = {"restart": uuid.uuid4().hex if body.restart else ""}
+    payload = about | body.model_dump() | restart
     key = payload_key(payload, "surrogate", service.release)
     return accepted(
         service.store.submit(
@@ -217,7 +220,7 @@ def _refuse_taken(
     folder, _ = place(name, home.folder, "model")
     if not folder.exists():
         return
-    given = (payload["effects"], [measured_of(payload)], parent)
+    given = (payload["effects"], measured_of(payload), parent)
     try:
         if made_before(folder, *given, payload["level"], payload["seed"]) is None:
             vacant(folder)

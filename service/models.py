@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import uuid
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -147,12 +148,18 @@ def models_train(
         Option(help="Of plan and training.", parser=whole("--seed", 0, 2**31)),
     ] = 0,
     workers: Workers = None,
+    restart: Annotated[
+        bool,
+        Option("--restart", help="Begin anew: discard what was begun or is there."),
+    ] = False,
     workspace: WorkspaceDir = None,
     as_json: AsJson = False,
 ) -> None:
     """The fast surrogate of a version, with its effects in it.
 
-    Finished paths are kept: the same command goes on where it was stopped.
+    Finished paths are kept: the same command goes on where it was stopped.  A version
+    that was fitted again takes its parent's where that holds for the new fit, unless
+    --minutes or --paths asks for one of its own.
     """
     from .discrepancy import cores
     from .surrogates import about, lines, train
@@ -175,6 +182,7 @@ def models_train(
             paths=paths,
             seed=seed,
             workers=workers or cores(),
+            restart=uuid.uuid4().hex if restart else "",
             report=update,
         )
     seconds = time.perf_counter() - start

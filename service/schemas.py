@@ -180,12 +180,12 @@ class DatasetIn(Strict):
     level: Level = "standard"
 
 
-class MeasuredIn(Strict):
-    """Measurements, and how they are to be judged."""
+MeasurementsId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
 
-    measurements: str = Field(
-        pattern=r"^[0-9a-f]{16}$", description="id that ``/v1/measurements`` answered"
-    )
+
+class JudgedIn(Strict):
+    """How measurements are to be judged."""
+
     level: Level = Field(default="standard", description="mesh of the baseline")
     modulus_tolerance_pct: float = Field(
         default=5.0, ge=0, le=50, description="std of each batch's modulus (%)"
@@ -199,6 +199,14 @@ class MeasuredIn(Strict):
     seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
 
 
+class MeasuredIn(JudgedIn):
+    """Measurements, and how they are to be judged."""
+
+    measurements: MeasurementsId = Field(
+        description="id that ``/v1/measurements`` answered"
+    )
+
+
 class RankingIn(MeasuredIn):
     """Measurements, and the effects that may be missing."""
 
@@ -210,9 +218,21 @@ class RankingIn(MeasuredIn):
 ModelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 
 
-class AdoptionIn(MeasuredIn):
+class AdoptionIn(JudgedIn):
     """Effects to be put into the model, fitted to measurements."""
 
+    measurements: Annotated[
+        list[MeasurementsId],
+        BeforeValidator(
+            lambda one: [one] if isinstance(one, str) else one,
+            json_schema_input_type=MeasurementsId | list[MeasurementsId],
+        ),
+    ] = Field(
+        min_length=1,
+        max_length=20,
+        description="id that ``/v1/measurements`` answered, or a list of them, fitted "
+        "together",
+    )
     effects: list[str] = Field(min_length=1, max_length=20)
     model: ModelName = Field(description="name of the new version")
     on: ModelName | None = Field(
@@ -229,6 +249,9 @@ class SurrogateIn(Strict):
     minutes: float | None = Field(default=None, ge=0.1, le=10_000)
     paths: Whole | None = Field(default=None, ge=FEWEST_PATHS, le=100_000)
     seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
+    restart: bool = Field(
+        default=False, description="discard what was begun or is there"
+    )
 
     @model_validator(mode="after")
     def _one_budget(self) -> SurrogateIn:
@@ -336,7 +359,8 @@ class PredictOut(BaseModel):
     )
     mesh_error: MeshError | None = Field(
         default=None,
-        description="of the finite elements; half the width of their interval",
+        description="of the finite elements; half the width of their interval, which "
+        "adopted effects widen by what their fit left open",
     )
     unknowns: int | None = Field(description="of the finite elements")
     seconds: float | None = Field(description="the finite elements took (s)")

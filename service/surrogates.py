@@ -24,6 +24,7 @@ from datagen.units import BY_FIELD
 from discrepancy.folder import effects_of
 from discrepancy.layout import SURROGATE
 from discrepancy.version import ModelVersion
+from discrepancy.workspace import Workspace
 
 if TYPE_CHECKING:
     from surrogate.corrected import Corrected
@@ -102,9 +103,12 @@ def train(
     paths: int | None = None,
     seed: int = 0,
     workers: int = 1,
+    restart: str = "",
     report: Report | None = None,
 ) -> AdoptedSurrogate:
     """Train the surrogate of a version, or go on where an earlier run has stopped.
+
+    Where nothing is said of how long, and the parent's serves, that is taken.
 
     Parameters
     ----------
@@ -117,13 +121,16 @@ def train(
     seed : int
     workers : int
         Processes that solve.
+    restart : str, optional
+        Name of a new beginning, see `surrogate.learn.learn`.
     report : callable, optional
         ``report(stage, done, total, seconds left or None)``.
 
     Raises
     ------
     InputError
-        When the effects have a memory, or a setting is not allowed.
+        When the effects have a memory, a setting is not allowed, or another training
+        has begun or ended there and `restart` is not given.
     FileError, GenerationError, Interrupted
         As in `surrogate.learn.learn`.
     """
@@ -133,8 +140,12 @@ def train(
 
     if version.folder is None:
         raise InputError("model", version.version, "a version that was saved")
+    there = None if restart else _handed_on(version, minutes, paths)
+    if there is not None:
+        return there
     if minutes is None and paths is None:
         minutes = MINUTES
+    measured = [design for one in version.measurements for design in one.designs]
     with effects_of(version, None) as own:
         parameters = declared(version, own)
         ranges, samples = learned(version, parameters)
@@ -148,14 +159,89 @@ def train(
             paths=paths,
             minutes=minutes,
             seed=seed,
+            near=tuple(dict.fromkeys(measured)),
             effects_dir=own,
             workers=workers,
             resume=True,
+            restart=restart,
             report=report,
         )
     found = load(version)
     assert found is not None
     return found
+
+
+def _handed_on(
+    version: ModelVersion, minutes: float | None, paths: int | None
+) -> AdoptedSurrogate | None:
+    """The parent's surrogate, in place already or now; None where it is not asked for.
+
+    Raises
+    ------
+    InputError
+        When it is in place and one of its own is asked for.
+    """
+    from surrogate.learn import HANDED_ON
+
+    there = load(version)
+    if minutes is None and paths is None:
+        if there is None:
+            return hand_on(version, _parent(version))
+        return there if HANDED_ON in there.description else None
+    if there is not None and HANDED_ON in there.description:
+        origin = there.description[HANDED_ON]
+        allowed = f"a new beginning (--restart): that of {origin} serves here"
+        raise InputError("restart", False, allowed)
+    return None
+
+
+def _parent(version: ModelVersion) -> ModelVersion | None:
+    """The version it is built on, where that is beside it."""
+    assert version.folder is not None
+    for entry in Workspace(version.folder.parent).entries():
+        if entry.version is not None and entry.version.version == version.parent:
+            return entry.version
+    return None
+
+
+def hand_on(
+    version: ModelVersion, parent: ModelVersion | None
+) -> AdoptedSurrogate | None:
+    """The parent's surrogate for a version that was fitted again; seconds, not minutes.
+
+    What it has learned holds over its stated ranges: a posterior inside needs no other.
+
+    Parameters
+    ----------
+    version : ModelVersion
+        In a folder, without a surrogate.
+    parent : ModelVersion or None
+
+    Returns
+    -------
+    AdoptedSurrogate or None
+        None where the parent has none, has other effects or had them written or solved
+        otherwise, or the posterior is not inside its ranges.
+
+    Raises
+    ------
+    FileError
+        When the parent's is damaged, or this one cannot be written.
+    """
+    from surrogate import learn
+
+    if version.folder is None or version.surrogate or parent is None:
+        return None
+    if parent.surrogate is None or (parent.sources, parent.generator) != (
+        version.sources,
+        version.generator,
+    ):
+        return None
+    with effects_of(version, None) as own:
+        samples = _samples(version, declared(version, own))
+    folder = version.folder / SURROGATE
+    made = learn.hand_on(parent.surrogate, folder, samples, parent.version)
+    return None if made is None else load(version)
 
 
 def declared(version: ModelVersion, effects_dir: Path | None) -> dict[str, Parameter]:
@@ -181,37 +267,54 @@ def learned(
     """
     from surrogate.increment import stated_range
 
-    fitted = {one.name: (i, one) for i, one in enumerate(version.estimates)}
-    every = np.linspace(0, len(version.samples) - 1, SAMPLES).round().astype(int)
-    chosen = version.samples[np.unique(every)]
-    ranges, columns = {}, []
+    fitted = {one.name: one for one in version.estimates}
+    ranges = {}
     for name, parameter in parameters.items():
         if name in fitted:
-            at, one = fitted[name]
+            one = fitted[name]
             ranges[name] = stated_range(parameter, one.value, one.std)
-            columns.append(np.clip(chosen[:, at], *ranges[name]))
         else:
-            still = parameter.off if parameter.off is not None else parameter.lower
+            still = _still(parameter)
             half = STATED * (parameter.upper - parameter.lower)
             ranges[name] = (
                 max(parameter.lower, still - half),
                 min(parameter.upper, still + half),
             )
-            columns.append(np.full(len(chosen), still))
-    return ranges, np.stack(columns, axis=1)
+    lower, upper = np.array(list(ranges.values())).T
+    return ranges, np.clip(_samples(version, parameters), lower, upper)
+
+
+def _still(parameter: Parameter) -> float:
+    """Where a parameter stays that a version does not infer."""
+    return parameter.lower if parameter.off is None else parameter.off
+
+
+def _samples(version: ModelVersion, parameters: dict[str, Parameter]) -> Array:
+    """(m, j) samples of the posterior, SI, at most `SAMPLES`."""
+    every = np.linspace(0, len(version.samples) - 1, SAMPLES).round().astype(int)
+    chosen = version.samples[np.unique(every)]
+    columns = [
+        chosen[:, version.names.index(name)]
+        if name in version.names
+        else np.full(len(chosen), _still(parameter))
+        for name, parameter in parameters.items()
+    ]
+    return np.stack(columns, axis=1)
 
 
 def about(made: AdoptedSurrogate) -> dict[str, Any]:
     """What is known of a surrogate: paths, stated ranges, errors on held-out designs.
 
     `change` is the error of what the effects change alone, `accuracy` that of the whole
-    answer, both in percent of each path's largest magnitude.
+    answer, both in percent of each path's largest magnitude; `handed_on` is the version
+    that it was learned for, where that is another one.
     """
     said = made.description
     return {
         "version": made.version,
         "paths": said["paths"],
         "base": said["base"],
+        "handed_on": said.get("handed_on"),
         "level": said["level"],
         "ranges": {p.name: [p.lower, p.upper] for p in made.corrected.tuned},
         "accuracy": said.get("accuracy"),
@@ -223,6 +326,8 @@ def lines(made: AdoptedSurrogate) -> list[str]:
     """The same for people."""
     known = about(made)
     found = [f"{known['paths']} paths on the mesh {known['level']}."]
+    if known["handed_on"]:
+        found.append(f"Learned for version {known['handed_on']}: this fit is inside.")
     for p in made.corrected.tuned:
         found.append(f"{p.name}: {p.lower:.4g} to {p.upper:.4g} {p.unit}")
     if known["accuracy"]:

@@ -39,25 +39,23 @@ def predict(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     from datagen.model import Model
     from discrepancy.folder import unpacked
 
-    level = payload["level"]
-    version = payload["adopted"] or {
-        "version": "",
-        "effects": [],
-        "parameters": {},
-        "own": {},
-    }
-    effects = tuple(version["effects"])
-    with unpacked(version["own"]) as own:
-        answer = fem_answer(
-            Model(effects, level, version["parameters"], own),
-            fem_version(level, version["version"]),
-            Design(**payload["design"]),
-            np.asarray(payload["pressure"], dtype=float),
-            payload["in_range"],
-            payload["reasons"],
-        )
-    notes = (*answer.notes, *payload["notes"])
-    return replace(answer, effects=effects, notes=notes).to_dict()
+    from .versions import adopted_answer
+
+    level, version = payload["level"], payload["adopted"]
+    asked = (
+        Design(**payload["design"]),
+        np.asarray(payload["pressure"], dtype=float),
+        payload["in_range"],
+        payload["reasons"],
+    )
+    if version is None:
+        answer = fem_answer(Model(level=level), fem_version(level), *asked)
+    else:
+        name = fem_version(level, version["version"])
+        with unpacked(version["own"]) as own:
+            model = Model(tuple(version["effects"]), level, version["parameters"], own)
+            answer = adopted_answer(model, name, version["left_open"], *asked)
+    return replace(answer, notes=(*answer.notes, *payload["notes"])).to_dict()
 
 
 def dataset(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +12,9 @@ import numpy as np
 
 from datagen.device import Design
 from datagen.errors import InputError
+from datagen.units import PRESSURE
 
-from .answer import Answer, fem_answer, surrogate_answer
+from .answer import COVERAGE, Answer, fem_answer, surrogate_answer
 from .tasks import fem_version
 
 if TYPE_CHECKING:
@@ -163,12 +164,86 @@ def version_answer(
             answer = surrogate_answer(surrogate, design, pressure, check)
             return replace(answer, effects=version.effects)
         reasons = tuple(check.reasons)
-    answer = fem_answer(
+    return adopted_answer(
         version.forward(level),
         fem_name(level, version),
+        left_open(version),
         design,
         pressure,
         False,
         reasons,
     )
-    return replace(answer, effects=version.effects)
+
+
+def left_open(version: ModelVersion) -> dict[str, list[float]]:
+    """Of each fitted parameter, SI, the posterior's samples less their mean."""
+    apart = (version.samples - version.mean).T
+    return {name: own.tolist() for name, own in zip(version.names, apart, strict=True)}
+
+
+def adopted_answer(
+    model: Model,
+    name: str,
+    apart: Mapping[str, Sequence[float]],
+    design: Design,
+    pressure: np.ndarray,
+    in_range: bool,
+    reasons: Sequence[str],
+) -> Answer:
+    """What the finite elements answer with a version's effects, at their means.
+
+    The interval joins in squares the mesh error and the way from the value to the
+    quantiles of the posterior's samples, each moved along the derivatives by the
+    parameters: it says what the measurements left open, as far as that is linear.
+
+    Parameters
+    ----------
+    model : Model
+        Its finite elements.
+    name : str
+        What makes these numbers, see `fem_name`.
+    apart : mapping of str to sequence of q float
+        Of `left_open`.
+    design : Design
+    pressure : (s,) array, Pa
+    in_range, reasons
+        What the surrogate said of this request.
+    """
+    answer = fem_answer(
+        model, name, design, pressure, in_range, reasons, sensitivities=tuple(apart)
+    )
+    return replace(_marginal(answer, apart), effects=model.effects)
+
+
+def _marginal(answer: Answer, apart: Mapping[str, Sequence[float]]) -> Answer:
+    """An answer with derivatives, its interval widened by the posterior."""
+    if answer.jacobian is None:  # nothing was fitted
+        return answer
+    known = np.isfinite(answer.jacobian).all(axis=2)
+    slopes = np.where(known[..., None], answer.jacobian, 0.0)
+    samples = np.array([apart[one] for one in answer.parameters])
+    moved = np.einsum("smk,kq->qsm", slopes, samples)
+    ends = [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]
+    low, high = np.quantile(moved, ends, axis=0)
+    return replace(
+        answer,
+        low=answer.value - np.hypot(answer.value - answer.low, np.maximum(-low, 0)),
+        high=answer.value + np.hypot(answer.high - answer.value, np.maximum(high, 0)),
+        notes=(*answer.notes, *_notes_on(tuple(apart), answer, known.all(axis=1))),
+    )
+
+
+def _notes_on(fitted: Sequence[str], answer: Answer, known: np.ndarray) -> list[str]:
+    """What the interval holds; `known`, (s,) bool, are steps with derivatives."""
+    names = ", ".join(fitted)
+    lines = [
+        f"{COVERAGE:.0%} interval: the mesh error, and what the measurements left open "
+        f"of {names}."
+    ]
+    reached = np.isfinite(answer.value).all(axis=1)
+    if lost := [f"{p / PRESSURE.factor:g}" for p in answer.pressure[reached & ~known]]:
+        lines.append(
+            f"No derivative by {names} was found at {', '.join(lost)} kPa: the "
+            "interval there is the mesh error alone."
+        )
+    return lines

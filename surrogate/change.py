@@ -5,7 +5,9 @@ two, less what the equivalent device explains already:
 
     D = y(theta) - y(off) - [base(design', p') - base(design, p)]
 
-The base's own error stays out of it: it is in both of the base's answers.  Derivatives
+The base's own error stays out of it: it is in both of the base's answers.  How far that
+holds is judged by members of base and change that had not seen the design: those that
+had are nearer to it than they are to devices in use.  Derivatives
 by the parameters bring more rows of each path at no cost: half way to off along the
 parabola through the known ends and the slope there, and a little to each side along
 each parameter where there are several.
@@ -24,7 +26,7 @@ from datagen.errors import InputError
 
 from .accuracy import accuracy
 from .calibration import Calibration, calibrate
-from .corrected import Asked, Corrected, ask, evaluate
+from .corrected import Asked, Corrected, Unseen, ask, evaluate
 from .effect_terms import changed, effect_owners
 from .ensemble import Ensemble
 from .equivalent import Equivalent, same_device
@@ -213,18 +215,22 @@ def fit_corrected(
         )
     pairs = pairs.subset(rows)
     held = folds(len(pairs), settings.folds, settings.repeats, seed)
-    unseen_by = np.stack([np.flatnonzero(one) for one in held.T], axis=1)
+    assert pairs.data.base_row is not None  # `pair` refuses an increment without
+    unseen = Unseen(
+        base.unseen_by(dataset, pairs.data.base_row),
+        np.stack([np.flatnonzero(one) for one in held.T], axis=1),
+    )
     space = increment.space
     columns, values = _inputs(pairs.data)
     if equivalent is None:
         equivalent = same_device(values.shape[1])
-    shift = _fit_shift(base, pairs, equivalent, held)
+    shift = _fit_shift(base, pairs, equivalent, held, unseen.base)
     how = (equivalent, shift)
-    asked = ask(base, space, how, columns, values)
+    asked = ask(base, space, how, columns, values, unseen.base)
     with one_thread():
         change, report = _fit_change(base, pairs, how, held, seed, settings, progress)
-    change, shares = shrunk(base, pairs, asked, change, unseen_by)
-    calibration = _calibrate(base, pairs, asked, change, unseen_by)
+    change, shares = shrunk(base, pairs, asked, change, unseen)
+    calibration = _calibrate(base, pairs, asked, change, unseen)
     tuned = [p for p in space if "." in p.name]
     if samples is None:
         samples = np.array([[(p.lower + p.upper) / 2 for p in tuned]])
@@ -254,7 +260,7 @@ def fit_corrected(
             "change_fit": report | {"shares": shares.tolist()},
         },
         samples=samples,
-        parameters=_nested(tuned_names(space), samples.mean(axis=0)),
+        parameters=nested(tuned_names(space), samples.mean(axis=0)),
     )
     return with_accuracy(model, dataset, increment)
 
@@ -264,7 +270,7 @@ def tuned_names(space: Any) -> tuple[str, ...]:
     return tuple(p.name for p in space if "." in p.name)
 
 
-def _nested(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:
+def nested(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:
     """``{effect: {parameter: value}}``."""
     out: dict[str, dict[str, float]] = {}
     for full, value in zip(names, values, strict=True):
@@ -281,14 +287,18 @@ def _inputs(data: Dataset) -> tuple[dict[str, Array], Array]:
 
 
 def _fit_shift(
-    base: Ensemble, pairs: Pairs, equivalent: Equivalent, held: Array
+    base: Ensemble, pairs: Pairs, equivalent: Equivalent, held: Array, members: Array
 ) -> Shift:
-    """The shift of the limit pressure beyond that of the equivalent device."""
+    """The shift of the limit pressure beyond that of the equivalent device.
+
+    As `members` of the base (r, n) say it that had not seen the designs.
+    """
     columns, values = _inputs(pairs.data)
     plain = prepare(columns, base.space)
     none = no_shift(plain.inputs, values.shape[1], len(held))
-    asked = ask(base, pairs.data.space, (equivalent, none), columns, values)
-    known = np.log(asked.limit.pressure / base.limit(plain).pressure)
+    how = (equivalent, none)
+    asked = ask(base, pairs.data.space, how, columns, values, members)
+    known = np.log(asked.limit.pressure / base.limit(plain, members).pressure)
     return fit_shift(asked.plain.inputs, asked.t, pairs.log_shift - known, held)
 
 
@@ -383,7 +393,7 @@ def _explained(base: Ensemble, asked: Asked, pressure: Array) -> Array:
 
 
 def shrunk(
-    base: Ensemble, pairs: Pairs, asked: Asked, change: Expansion, unseen_by: Array
+    base: Ensemble, pairs: Pairs, asked: Asked, change: Expansion, unseen: Unseen
 ) -> tuple[Expansion, Array]:
     """The networks times the share of each output that helps pairs not seen.
 
@@ -395,7 +405,7 @@ def shrunk(
     -------
     Expansion, and the (m,) shares.
     """
-    found = evaluate(base, change, asked, pairs.pressure, unseen_by)
+    found = evaluate(base, change, asked, pairs.pressure, unseen)
     wanted = pairs.difference - found.explained
     scale = _typical(pairs, found.base.spread.size)
     chosen = []
@@ -436,14 +446,20 @@ def _typical(pairs: Pairs, size: Array) -> Array:
 
 
 def _calibrate(
-    base: Ensemble, pairs: Pairs, asked: Asked, change: Expansion, unseen_by: Array
+    base: Ensemble, pairs: Pairs, asked: Asked, change: Expansion, unseen: Unseen
 ) -> Calibration:
-    """Calibration of the change on each pair by the members that had not seen it."""
-    found = evaluate(base, change, asked, pairs.pressure, unseen_by)
+    """Calibration of the change on each pair by the members that had not seen it.
+
+    A member of the base and a network answer together, so that what averages out over
+    both kinds is known.
+    """
+    found = evaluate(base, change, asked, pairs.pressure, unseen)
     good = pairs.shared
-    errors = (found.more.values + found.explained - pairs.difference)[:, good]
-    design = np.nonzero(good)[0]
-    return calibrate(errors, found.spread[good], design, change.stack.members)
+    both = min(len(found.moved), len(found.more.values))
+    answers = found.more.values[:both] + found.moved[:both]
+    errors = (answers - pairs.difference)[:, good]
+    members = min(base.expansion.stack.members, change.stack.members)
+    return calibrate(errors, found.spread[good], np.nonzero(good)[0], members)
 
 
 def change_errors(model: Corrected, pairs: Pairs) -> dict[str, dict[str, float]]:

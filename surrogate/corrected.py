@@ -375,6 +375,7 @@ def ask(
     how: tuple[Equivalent, Shift],
     columns: Mapping[str, Array],
     values: Array,
+    members: Array | None = None,
 ) -> Asked:
     """Designs and parameters made ready.
 
@@ -388,6 +389,8 @@ def ask(
         The variables of the design space.
     values : (n, j) array, SI
         Of the parameters, in the order of `space`.
+    members : (r, n) int array, optional
+        Of the base, asked about each design's limit; all where it is not given.
     """
     tuned = tuple(p for p in space if "." in p.name)
     equivalent, shift = how
@@ -395,7 +398,7 @@ def ask(
     device, gain, offset = equivalent(columns, t)
     drawn, plain = prepare(columns, base.space), prepare(device, base.space)
     with_values = {p.name: values[:, j] for j, p in enumerate(tuned)}
-    limit = base.limit(plain)
+    limit = base.limit(plain, members)
     log_shift, std = shift(plain.inputs, t)
     factor = np.exp(log_shift)
     gain, offset = gain / factor, offset / factor
@@ -409,10 +412,26 @@ def ask(
         t=t,
         gain=gain[:, None],
         offset=offset[:, None],
-        drawn_limit=base.limit(drawn),
+        drawn_limit=base.limit(drawn, members),
         base_limit=limit,
         limit=Limit(gauge, np.hypot(limit.std, std)),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Members that had not seen each of n designs, and so err as they do in use.
+
+    Parameters
+    ----------
+    base : (b, n) int array
+        Of the base.
+    change : (r, n) int array
+        Networks of the change.
+    """
+
+    base: Array
+    change: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,14 +444,18 @@ class Found:
         Of the base about the equivalent devices.
     more : Answers
         Of the networks: what the effects add to that.
+    moved : (b, n, s, m) array, SI
+        What the equivalent devices do less what the designs do without effects, by
+        each member of the base.
     explained : (n, s, m) array, SI
-        What the equivalent devices do less what the designs do without effects.
+        Its mean.
     spread : Spread of (n, s, m) arrays
         Of the whole change; exactly 0 at off.
     """
 
     base: Answers
     more: Answers
+    moved: Array
     explained: Array
     spread: Spread
 
@@ -442,7 +465,7 @@ def evaluate(
     change: Expansion,
     asked: Asked,
     pressure: Array,
-    members: Array | None = None,
+    unseen: Unseen | None = None,
 ) -> Found:
     """Ask base and networks at (n, s) gauge pressures, Pa.
 
@@ -452,18 +475,22 @@ def evaluate(
 
     Parameters
     ----------
-    members : (r, n) int array, optional
-        Networks asked about each design; all of them where it is not given.
+    unseen : Unseen, optional
+        Members asked about each design; all of them where it is not given.
     """
+    by_base, by_change = (
+        (None, None) if unseen is None else (unseen.base, unseen.change)
+    )
     own = asked.base_pressure(pressure)
-    there = base.answers(asked.plain, own, asked.base_limit)
-    here = base.answers(asked.drawn, pressure, asked.drawn_limit)
-    more = _change_answers(change, asked, own, members)
+    there = base.answers(asked.plain, own, asked.base_limit, by_base)
+    here = base.answers(asked.drawn, pressure, asked.drawn_limit, by_base)
+    more = _change_answers(change, asked, own, by_change)
     moved = there.values - here.values
     far = np.sqrt((asked.t**2).sum(axis=1))[:, None, None]
     return Found(
         base=there,
         more=more,
+        moved=moved,
         explained=there.mean - here.mean,
         spread=Spread(
             np.hypot(moved.std(axis=0, ddof=1), more.spread.disagreement),

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from datagen.dataset import Dataset
 from datagen.device import DESIGN_SPACE, Design
 from datagen.errors import InputError
 from datagen.response import CONVERGED, Response
@@ -27,6 +28,7 @@ from .domain import Domain, RangeCheck
 from .expansion import Answers, Expansion
 from .features import Prepared, columns_of, features, prepare
 from .limit import Limit, LimitModel
+from .split import folds, training_rows
 
 Array = np.ndarray
 
@@ -198,6 +200,33 @@ class Ensemble:
         """Predicted limit pressure of each design."""
         return self.limit(self._prepared(designs))
 
+    def unseen_by(self, dataset: Dataset, rows: Array) -> Array:
+        """(r, n) int.  Members that had not seen the designs of some rows.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            That the model was trained on.
+        rows : (n,) int array
+            Of designs that were trained on.
+
+        Raises
+        ------
+        InputError
+            When it was trained on another dataset, or not on all of these rows.
+        """
+        own, given = str(self.description["dataset"]), dataset.digest()
+        if own != given:
+            raise InputError("dataset", given[:12], f"{own[:12]}, as trained on")
+        trained = training_rows(dataset)
+        place = np.searchsorted(trained, rows)
+        inside = place < len(trained)
+        if not inside.all() or (trained[place] != rows).any():
+            raise InputError("rows", "held-out designs", "designs that were trained on")
+        settings, seed = self.description["settings"], self.description["seed"]
+        held = folds(len(trained), settings["folds"], settings["repeats"], seed)
+        return np.stack([np.flatnonzero(one) for one in held.T[place]], axis=1)
+
     def save(self, folder: str | Path) -> None:
         """Write ``model.json`` and ``weights.safetensors`` into a folder."""
         from .store import write
@@ -233,15 +262,26 @@ class Ensemble:
         limit = self.limit(prepared)
         return self.answers(prepared, pressure, limit), limit
 
-    def answers(self, prepared: Prepared, pressure: Array, limit: Limit) -> Answers:
-        """Answers of the members at (n, s) pressures, Pa, up to known limits."""
+    def answers(
+        self,
+        prepared: Prepared,
+        pressure: Array,
+        limit: Limit,
+        members: Array | None = None,
+    ) -> Answers:
+        """Answers at (n, s) pressures, Pa, up to known limits.
+
+        `members`, an (r, n) int array, are those asked about each design; all of them
+        where it is not given.
+        """
         nearness = np.abs(pressure) / limit.pressure[:, None]
         some = max(1, CHUNK // pressure.shape[1])
         parts = []
         for begin in range(0, len(prepared), some):
             own = slice(begin, begin + some)
             inputs = features(prepared[own], pressure[own], limit.pressure[own])
-            parts.append(self.expansion(inputs, nearness[own]))
+            who = None if members is None else members[:, own]
+            parts.append(self.expansion(inputs, nearness[own], who))
         return Answers.joined(parts)
 
     def _response(

@@ -29,7 +29,7 @@ from datagen.generate import Progress
 from datagen.space import Space
 from datagen.worker import Solve, run_task
 
-from .change import SETTINGS, ChangeSettings, fit_corrected
+from .change import SETTINGS, ChangeSettings, fit_corrected, nested, tuned_names
 from .corrected import Corrected
 from .ensemble import Ensemble
 from .equivalent import Equivalent, fit_equivalent
@@ -47,8 +47,11 @@ from .increment import (
 
 Array = np.ndarray
 
-PLAN, INCREMENT, DRAFT = "plan.json", "increment.h5", "model"
+PLAN, INCREMENT, DRAFT, FORMER = "plan.json", "increment.h5", "model", "former"
 """In the working folder; the second goes along into the finished one."""
+
+HANDED_ON = "handed_on"
+"""Of a description: what the model was learned for, where it came to serve another."""
 
 FEWEST_PATHS = 16
 """Enough to see whether the equivalent device explains an effect."""
@@ -111,6 +114,7 @@ def learn(
     scheduler: str | None = None,
     executor: Executor | None = None,
     resume: bool = False,
+    restart: str = "",
     report: Report | None = None,
     settings: ChangeSettings = SETTINGS,
     means: Means = BY_FEM,
@@ -147,6 +151,9 @@ def learn(
         As in `datagen.generate.generate`.
     resume : bool
         Go on with what an earlier run with the same settings has left.
+    restart : str, optional
+        Name of a new beginning: what another has left is discarded, a model that is
+        there once the new one is complete.  The same name again goes on.
     report : callable, optional
         As `Report`.
     settings : ChangeSettings
@@ -174,9 +181,9 @@ def learn(
     wanted = _request(
         base, dataset, space, near, seed, samples, paths, minutes, settings
     ) | {"effects_dir": _sources(effects_dir)}
-    if folder.exists():
-        return _finished(folder, work, wanted, resume)
-    begun = _begin(work, wanted, resume)
+    if folder.exists() and not (restart and _beginning(folder) != restart):
+        return _finished(folder, work, wanted, resume or bool(restart))
+    begun = _begin(work, wanted, resume, restart)
     level = means.level or mesh_of(dataset)
     fits = means.fits or fem_fits(active, level, effects_dir)
     if "count" not in begun:
@@ -186,7 +193,7 @@ def learn(
             first = plan(dataset, space, FEWEST_PATHS, seed, near, fits)
             seconds = _one_path(first, dataset, level, effects_dir, means.solve)
             count = _affordable(minutes, seconds, max(workers, 1))
-        begun = wanted | {"count": count}
+        begun = begun | {"count": count}
         write_text(work / PLAN, json.dumps(begun, indent=1) + "\n")
     planned = plan(dataset, space, int(begun["count"]), seed, near, fits)
 
@@ -217,9 +224,53 @@ def learn(
     model = fit_corrected(
         base, dataset, increment, seed, settings, equivalent, samples, trained
     )
-    unfit = {"unfit_designs": planned.unfit, "request": wanted}
-    model = replace(model, description=model.description | unfit)
-    return _publish(model, folder, work)
+    more = {"unfit_designs": planned.unfit, "request": wanted, "restart": restart}
+    model = replace(model, description=model.description | more)
+    return _publish(model, folder, work, work / INCREMENT)
+
+
+def hand_on(
+    source: Path, folder: Path, samples: Array, origin: str
+) -> Corrected | None:
+    """A finished surrogate for other samples of its parameters; nothing is learned.
+
+    Parameters
+    ----------
+    source : Path
+        Folder of the surrogate.
+    folder : Path
+        Where the same with these samples is written; must not exist.
+    samples : (m, j) array, SI
+        As in `learn`.
+    origin : str
+        What `source` was learned for, for the description.
+
+    Returns
+    -------
+    Corrected or None
+        None where a sample is outside the stated ranges, or `learn` has begun there.
+
+    Raises
+    ------
+    InputError, FileError
+        When the samples are of other parameters, or a file cannot be read or written.
+    """
+    work = folder.with_name(f"{folder.name}.work")
+    if (work / PLAN).exists():
+        return None
+    model = replace(Corrected.load(source), samples=samples)
+    ranges = np.array([(p.lower, p.upper) for p in model.tuned])
+    if ((model.samples < ranges[:, 0]) | (model.samples > ranges[:, 1])).any():
+        return None
+    described = {k: v for k, v in model.description.items() if k != "request"}
+    names = tuned_names(model.space)
+    made = replace(
+        model,
+        parameters=nested(names, model.samples.mean(axis=0)),
+        description=described | {HANDED_ON: origin},
+    )
+    _make(work)
+    return _publish(made, folder, work, source / INCREMENT)
 
 
 def _request(
@@ -263,30 +314,57 @@ def _check_same(wanted: Mapping[str, Any], found: Mapping[str, Any], at: Path) -
     """Refuse to go on with what other settings began."""
     for name, value in wanted.items():
         if found.get(name) != value:
-            begun = f"{found.get(name)!r}, as {at} was begun with"
+            begun = (
+                f"{found.get(name)!r}, as {at} was begun with; restart (--restart) "
+                "begins anew"
+            )
             raise InputError(name, value, begun)
 
 
-def _begin(work: Path, wanted: dict[str, Any], resume: bool) -> dict[str, Any]:
+def _beginning(folder: Path) -> str:
+    """What `restart` a model was learned with; empty also where it is damaged."""
+    try:
+        return str(Corrected.load(folder).description.get("restart", ""))
+    except FileError:
+        return ""
+
+
+def _begin(
+    work: Path, wanted: dict[str, Any], resume: bool, restart: str
+) -> dict[str, Any]:
     """The working folder; what an earlier run has written there of its plan."""
-    if work.exists() and not resume:
+    path = work / PLAN
+    if restart:
+        if _plan_in(path).get("restart") != restart:
+            shutil.rmtree(work, ignore_errors=True)
+    elif work.exists() and not resume:
         raise _refusal(work)
+    _make(work)
+    if not path.exists():  # a fresh run, or killed before it was written
+        begun = wanted | {"restart": restart}
+        write_text(path, json.dumps(begun, indent=1) + "\n")
+        return begun
+    found = _plan_in(path)
+    if not found:
+        raise FileError(path, "not a plan; restart (--restart) begins anew")
+    _check_same(wanted, found, work)
+    return found
+
+
+def _plan_in(path: Path) -> dict[str, Any]:
+    """What a file holds of a plan; empty where it is none."""
+    try:
+        found = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _make(work: Path) -> None:
     try:
         work.mkdir(exist_ok=True)
     except OSError as error:
         raise FileError(work, f"cannot be made: {reason(error)}") from error
-    path = work / PLAN
-    if not path.exists():  # a fresh run, or killed before it was written
-        write_text(path, json.dumps(wanted, indent=1) + "\n")
-        return wanted
-    try:
-        found = json.loads(path.read_text())
-    except ValueError:
-        raise FileError(path, "not a plan; remove its folder") from None
-    if not isinstance(found, dict):
-        raise FileError(path, "not a plan; remove its folder")
-    _check_same(wanted, found, work)
-    return found
 
 
 def _finished(
@@ -337,15 +415,18 @@ def _affordable(minutes: float, seconds: float, workers: int) -> int:
     return min(fits, MOST_PATHS)
 
 
-def _publish(model: Corrected, folder: Path, work: Path) -> Corrected:
-    """Give the finished model its name."""
+def _publish(model: Corrected, folder: Path, work: Path, increment: Path) -> Corrected:
+    """Give the finished model its name; one that has it makes way."""
     draft = work / DRAFT
     shutil.rmtree(draft, ignore_errors=True)  # of a run that was killed here
     model.save(draft)
     try:
-        shutil.copyfile(work / INCREMENT, draft / INCREMENT)
+        shutil.copyfile(increment, draft / INCREMENT)
         sync(draft / INCREMENT)
         sync(draft)
+        if folder.exists():
+            shutil.rmtree(work / FORMER, ignore_errors=True)
+            os.replace(folder, work / FORMER)
         os.replace(draft, folder)
         sync(folder.parent)
     except OSError as error:

@@ -52,6 +52,11 @@ def usable(dataset: Dataset) -> Array:
     return np.array([dataset.steps(i) > 0 for i in range(len(dataset))])
 
 
+def training_rows(dataset: Dataset) -> Array:
+    """(n,) int.  Rows that a base is trained on: usable, and not held out."""
+    return np.flatnonzero(usable(dataset) & ~held_out(dataset))
+
+
 def folds(designs: int, folds: int, repeats: int, seed: int) -> Array:
     """(repeats * folds, designs) bool: designs that each member must not see.
 

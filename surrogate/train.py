@@ -30,7 +30,7 @@ from .limit import SETTINGS as LIMIT_SETTINGS
 from .limit import fit_limit
 from .neighbours import Neighbours, neighbours
 from .network import FitSettings, Progress, Rows, fit, one_thread
-from .split import folds, usable
+from .split import folds, training_rows, usable
 from .split import held_out as is_held_out
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def train(
     InputError
         When the dataset has too few designs, or other outputs than `TERMS`.
     """
-    rows = np.flatnonzero(usable(dataset) & ~is_held_out(dataset))
+    rows = training_rows(dataset)
     if len(rows) < FEWEST_DESIGNS:
         raise InputError(
             "dataset",

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datagen.device import Design
 from datagen.errors import EffectError, InputError
 from datagen.model import Model
 from discrepancy.adopt import adopt, emulation_error, joined, resampled
@@ -253,13 +254,30 @@ def test_measurements_are_joined_file_by_file() -> None:
     both = joined([replace(first, source="a"), replace(rest, source="b")])
     assert both.devices == ("D1", "D2", "D3") and both.source == "a, b"
     assert joined([first]) is first
-    with pytest.raises(InputError, match=r"'D1' is not allowed; .* not in a and b"):
+    with pytest.raises(
+        InputError, match=r"run: 1 .* each run of D1 in one file only, not in a and b"
+    ):
         joined([replace(first, source="a"), replace(whole, source="b")])
     other = replace(rest, tolerances=Tolerances(0.1))
     with pytest.raises(InputError, match="tolerances"):
         joined([first, other])
     with pytest.raises(InputError, match="FILE"):
         joined([])
+
+
+def test_a_device_is_measured_again_in_another_file() -> None:
+    """Its runs stand together, whatever file they are of."""
+    whole = measurements()
+    again = replace(whole.subset(["D1"]).curves[0], run=2)
+    more = replace(whole, curves=(again,), source="b")
+    both = joined([replace(whole, source="a"), more])
+    runs = [(curve.device, curve.run) for curve in both.curves]
+    assert runs == [("D1", 1), ("D1", 2), ("D2", 1), ("D3", 1)]
+    assert isinstance(again.design, Design)
+    thicker = again.design.with_values(upper_thickness=99e-6)
+    other = replace(more, curves=(replace(again, design=thicker),))
+    with pytest.raises(InputError, match=r"'D1' .* b states another than a"):
+        joined([replace(whole, source="a"), other])
 
 
 # -- the report ----------------------------------------------------------------------

@@ -13,8 +13,10 @@ from discrepancy.folder import read
 from discrepancy.workspace import Workspace
 from discrepancy.writing import write_measurements
 from service.cli import main
+from service.surrogates import load
 from tests.discrepancy.made import MISMATCH, measured
-from tests.discrepancy.versions import own_folder
+from tests.discrepancy.versions import OWN, own_folder
+from tests.service.test_surrogates import learned_over
 
 PLANTED = -0.0005
 
@@ -124,13 +126,38 @@ def test_several_files_are_one_set(pba: Any, folder: Path) -> None:
     whole, parts = read(folder / "whole"), read(folder / "both")
     assert parts.mean == pytest.approx(whole.mean, abs=0.02 * whole.estimates[0].std)
     again = pba("adopt", "cure_mismatch", "one.csv", "one.csv", "--out", "./x")
-    assert again[0] == 2 and "a device in one file only" in again[2]
+    assert again[0] == 2 and "run: 1 is not allowed" in again[2]
+    assert "not in one.csv and one.csv" in again[2]
     lost = the_json(
         pba("adopt", "cure_mismatch", "rest.csv", "--on", "both", "--out", "./less",
             "--workspace", ".", "--json")
     )  # fmt: skip
     assert any("one.csv, which the parent was fitted to" in w for w in lost["warnings"])
     assert lost["workspace"] == "." and lost["in_use"]
+
+
+def test_more_measurements_keep_the_surrogate(pba: Any, folder: Path) -> None:
+    """What the parent has learned holds for the new fit."""
+    where = ("--workspace", "fast", "--json")
+    base = the_json(pba("adopt", "cure_mismatch", "one.csv", "--out", "base", *where))
+    assert base["surrogate"] is False
+    learned_over(-0.001, 0.0, folder / "fast" / "base" / "surrogate")
+    files = ("one.csv", "rest.csv")
+    more = the_json(
+        pba("adopt", "cure_mismatch", *files, "--on", "base", "--out", "more", *where)
+    )
+    assert more["surrogate"] is True
+    made = read(folder / "fast" / "more")
+    found = load(made)
+    assert found is not None and found.version == made.version
+    assert found.corrected.samples.mean() == pytest.approx(made.mean[0], abs=1e-5)
+    (folder / "fast" / "base" / "surrogate" / "model.json").write_text("{")
+    less = the_json(
+        pba("adopt", "cure_mismatch", "one.csv", "--on", "base", "--out", "less",
+            "--no-use", *where)
+    )  # fmt: skip
+    assert less["surrogate"] is False
+    assert any("surrogate is not taken over" in line for line in less["warnings"])
 
 
 def test_an_effect_of_ones_own_travels(pba: Any, folder: Path) -> None:
@@ -172,6 +199,52 @@ def test_a_report_is_written(
     assert (status, err) == (0, "")
     text = (folder / "out.html").read_text()
     assert read(folder / "told").version in text and "one device only" in text
+
+
+class Killed(BaseException):
+    """The end of the process: nothing catches it."""
+
+
+def _killed(*_: object) -> None:
+    raise Killed
+
+
+def test_a_run_that_was_killed_goes_on(
+    pba: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the report, and after the version was written."""
+    monkeypatch.setattr("discrepancy.sharpen.proposals", lambda *_: iter(()))
+    files = ("adopt", "cure_mismatch", "one.csv")
+    words = (*files, "--out", "late", "--report", "late.html", "--workspace", "lab")
+    late = folder / "lab" / "late"
+    with monkeypatch.context() as here:
+        here.setattr("discrepancy.sharpen.sharpen", _killed)
+        with pytest.raises(Killed):
+            pba(*words)
+    assert not late.exists() and not (folder / "late.html").exists()
+    with monkeypatch.context() as here:
+        here.setattr(Workspace, "use", _killed)
+        with pytest.raises(Killed):
+            pba(*words)
+    assert read(late).version and not (folder / "late.html").exists()
+    made = (late / "model.json").read_bytes()
+    assert pba(*words)[0] == 0
+    assert (late / "model.json").read_bytes() == made
+    assert read(late).version in (folder / "late.html").read_text()
+    assert Workspace(folder / "lab").current_name == "late"
+    for other in (("--seed", "1"), ("--camera-tolerance", "1"), ("--on", "late")):
+        status, _, err = pba(*words, *other)
+        assert status == 2 and "late: exists already" in err, other
+
+
+def test_an_effect_that_was_rewritten_is_another_fit(pba: Any, tmp_path: Path) -> None:
+    own = own_folder(tmp_path / "effects")
+    out = str(tmp_path / "own")
+    words = ("adopt", "shrunk_roof", "one.csv", "--out", out, "--effects-dir", str(own))
+    assert pba(*words)[0] == pba(*words)[0] == 0
+    own_folder(own, OWN + "\n# refined\n")
+    status, _, err = pba(*words)
+    assert status == 2 and "own: exists already" in err
 
 
 @pytest.mark.parametrize(

@@ -235,11 +235,16 @@ def csv() -> str:
 
 
 @pytest.fixture
-def adoption(client: TestClient, csv: str) -> dict[str, Any]:
-    """A body that adopts one effect on measurements that are there."""
-    identity = client.post("/v1/measurements", content=csv).json()["id"]
+def adoption(client: TestClient) -> dict[str, Any]:
+    """A body that adopts one effect on two files of measurements, which are one set."""
+    whole, _ = measured(MISMATCH)
+    parts = whole.subset(whole.devices[:1]), whole.subset(whole.devices[1:])
+    ids = [
+        client.post("/v1/measurements", content=measurements_text(part)).json()["id"]
+        for part in parts
+    ]
     return {
-        "measurements": identity,
+        "measurements": ids,
         "effects": ["cure_mismatch"],
         "model": "fitted",
         "level": "draft",
@@ -249,6 +254,8 @@ def adoption(client: TestClient, csv: str) -> dict[str, Any]:
 def test_adopting(client: TestClient, adoption: dict[str, Any]) -> None:
     job = ended(client, client.post("/v1/adoptions", json=adoption))
     assert job["status"] == "done", job["error"]
+    files = job["result"]["measurements"]
+    assert [one["sha256"][:16] for one in files] == adoption["measurements"]
     rungs = job["result"]["ladder"]
     assert rungs[-1]["rung"] == "noise floor"
     assert rungs[-2]["heldout_error"] < rungs[0]["heldout_error"]
@@ -379,6 +386,30 @@ def test_accepted_predictions_are_answered_by_their_version_whatever_becomes_of_
         assert found["model_version"].endswith(f"+{made.version}")
         assert found["effects"] == list(made.effects)
         assert found["tip_deflection_mm"]["value"][0] == pytest.approx(1e3 * tip)
+
+
+@pytest.mark.parametrize(
+    ("measurements", "says"),
+    [
+        ([], "measurements"),
+        (None, "measurements"),
+        (["x"], "measurements[0]"),
+        ("x", "measurements[0]"),
+        (["0" * 16] * 21, "at most 20"),
+        ([16 * "0"], "0000"),
+    ],
+)
+def test_files_that_are_none(client: TestClient, measurements: Any, says: str) -> None:
+    body = {"measurements": measurements, "effects": ["yeoh"], "model": "none"}
+    answer = client.post("/v1/adoptions", json=body)
+    assert answer.status_code in (404, 422)
+    assert says in answer.json()["error"]["message"]
+
+
+def test_the_schema_knows_one_file_and_several(client: TestClient) -> None:
+    schemas = client.get("/openapi.json").json()["components"]["schemas"]
+    kinds = schemas["AdoptionIn"]["properties"]["measurements"]["anyOf"]
+    assert [one["type"] for one in kinds] == ["string", "array"]
 
 
 def test_no_answer_fails_or_is_mixed_while_versions_change(

@@ -3,20 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from datagen.device import DESIGN_SPACE
 from datagen.effects import catalogue
 from datagen.errors import InputError
 from datagen.response import Path as LoadPath
-from discrepancy.version import Estimate
+from datagen.space import Space
+from discrepancy.folder import read
+from discrepancy.version import Estimate, Measured, ModelVersion
 from discrepancy.workspace import Workspace
 from service.app import KINDS, Settings, create_app
 from service.current import Switch
-from service.surrogates import SAMPLES, AdoptedSurrogate, declared, learned, train
+from service.surrogates import (
+    SAMPLES,
+    AdoptedSurrogate,
+    about,
+    declared,
+    learned,
+    lines,
+    train,
+)
+from surrogate.corrected import Corrected
+from surrogate.ensemble import reference_model
+from surrogate.equivalent import same_device
+from surrogate.learn import INCREMENT
+from surrogate.shift import no_shift
+from tests.discrepancy.made import measured
 from tests.discrepancy.versions import version
 from tests.service.fakes import FakeSurrogate
 from tests.service.test_models import ASKED
@@ -97,6 +116,105 @@ def test_effects_with_a_memory_have_no_surrogate(effect: str, tmp_path: Path) ->
     assert made.surrogate is None
 
 
+def refitted(
+    home: Workspace, std: float = 1e-6, **changes: Any
+) -> tuple[ModelVersion, ModelVersion]:
+    """A version with a surrogate, and one on top of it that was fitted again."""
+    first = home.find("first").version
+    assert first is not None and first.folder is not None
+    learned_over(-0.001, 0.0, first.folder / "surrogate")
+    samples = -0.0004 + std * np.linspace(-1, 1, 9)[:, None]
+    given = {"parent": first.version, "samples": samples} | changes
+    second = version(-0.0004, **given).save(home.folder / "second")
+    return first, second
+
+
+def learned_over(lower: float, upper: float, folder: Path) -> None:
+    """A surrogate of a stated range that was never trained: it is not asked here."""
+    base = reference_model()
+    difference = replace(
+        catalogue()["cure_mismatch"].space["difference"],
+        name="cure_mismatch.difference",
+        lower=lower,
+        upper=upper,
+    )
+    Corrected(
+        base=base,
+        space=Space((*DESIGN_SPACE, difference)),
+        effects=("cure_mismatch",),
+        equivalent=same_device(1),
+        shift=no_shift(np.zeros((1, 3)), 1, 2),
+        change=base.expansion,
+        calibration=base.calibration,
+        description={"paths": 16, "base": base.version, "level": "standard"},
+        samples=np.array([[-0.0005]]),
+    ).save(folder)
+    (folder / INCREMENT).write_bytes(b"paths")
+
+
+def test_a_refitted_version_takes_its_parents(home: Workspace) -> None:
+    first, second = refitted(home)
+    made = train(second)
+    assert made.version == second.version and second.surrogate is not None
+    np.testing.assert_array_equal(made.corrected.samples, second.samples)
+    assert about(made)["handed_on"] == first.version
+    assert any(first.version in line for line in lines(made))
+    assert train(second).corrected.version == made.corrected.version
+    with pytest.raises(InputError, match=f"--restart.*{first.version} serves here"):
+        train(second, paths=16)
+
+
+class Begun(Exception):
+    """Training began."""
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"std": 1e-3},
+        {"generator": "0"},
+        {"sources": {"cure_mismatch": "0" * 64}},
+        {"parent": "0" * 12},
+    ],
+)
+def test_a_parents_surrogate_that_does_not_hold(
+    home: Workspace, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A posterior that leaves its ranges, or numbers that were made otherwise."""
+    _, second = refitted(home, **changes)
+
+    def begun(*_: object, **options: object) -> None:
+        raise Begun
+
+    monkeypatch.setattr("surrogate.learn.learn", begun)
+    with pytest.raises(Begun):
+        train(second)
+    assert second.surrogate is None
+
+
+def test_designs_that_were_measured_are_wanted_most(
+    home: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = measured({})[0]
+    twice = replace(whole.curves[0], run=2)
+    files = (
+        Measured.of(whole),
+        Measured.of(replace(whole, curves=(twice,), source="more.csv")),
+    )
+    made = version(measurements=files).save(home.folder / "third")
+    given: dict[str, Any] = {}
+
+    def begun(*_: object, **options: Any) -> None:
+        given.update(options)
+        raise Begun
+
+    monkeypatch.setattr("surrogate.learn.learn", begun)
+    with pytest.raises(Begun):
+        train(read(home.folder / "third"), paths=16, restart="a")
+    assert given["near"] == tuple(one.design for one in whole.curves)
+    assert given["restart"] == "a" and made.measurements == files
+
+
 class Quick(FakeSurrogate):
     """What `AdoptedSurrogate` needs of a corrected surrogate."""
 
@@ -153,6 +271,7 @@ def test_training_asked_for_wrongly(client: TestClient) -> None:
         ({"minutes": -1}, "minutes"),
         ({"paths": 2.5}, "paths"),
         ({"hours": 1}, "hours"),
+        ({"restart": "again"}, "restart"),
         ({"paths": 15}, "equal to 16"),
         ({"paths": 20, "minutes": 3.0}, "either paths or minutes"),
     ):
@@ -162,3 +281,18 @@ def test_training_asked_for_wrongly(client: TestClient) -> None:
     for name in ("baseline", "reference"):
         answer = client.post(f"/v1/models/{name}/surrogate", json={})
         assert answer.status_code == 422 and "adopted effects" in answer.text
+
+
+def test_a_new_beginning_is_a_job_of_its_own(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same question is the same job, but to begin anew is meant each time."""
+    body = {"minutes": 0.1}
+    for other, same in (({}, True), ({"restart": True}, False)):
+        ids = {
+            client.post("/v1/models/first/surrogate", json=body | other).json()["id"]
+            for _ in range(2)
+        }
+        assert (len(ids) == 1) is same
+        for one in ids:
+            client.delete(f"/v1/jobs/{one}")

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +15,15 @@ from datagen.dataset import Dataset
 from datagen.device import DESIGN_SPACE, Design, named_device
 from datagen.errors import FileError, InputError
 from datagen.response import Path as LoadPath
+from surrogate import change as learning
 from surrogate.accuracy import accuracy
+from surrogate.calibration import Calibration, calibrate
 from surrogate.change import FEWEST_PAIRS, change_errors, fit_corrected, pair
-from surrogate.corrected import Corrected
+from surrogate.corrected import Corrected, ask
 from surrogate.ensemble import Ensemble
 from surrogate.equivalent import READ, Equivalent
 from surrogate.shift import fit_shift
-from surrogate.split import held_out
+from surrogate.split import folds, held_out
 from tests.surrogate.pairs import QUICK, equivalent, increment, truth
 
 Array = np.ndarray
@@ -125,6 +128,49 @@ def test_intervals_cover_unseen_designs(model: Corrected) -> None:
         good = known[: len(pressure)]
         inside.append(((found.low[0] <= good) & (good <= found.high[0])).mean())
     assert 0.85 <= np.mean(inside) <= 0.98
+
+
+def test_intervals_rest_on_members_that_had_not_seen_the_designs(
+    ensemble: Ensemble,
+    dataset: Dataset,
+    both: Dataset,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of the base, too: those that had know its paths better than a device's in use."""
+    given: list[Array] = []
+
+    def kept(errors: Array, *others: Any) -> Calibration:
+        given.append(errors)
+        return calibrate(errors, *others)
+
+    monkeypatch.setattr(learning, "calibrate", kept)
+    settings = replace(QUICK, fit=replace(QUICK.fit, steps=50))
+    model = fit_corrected(
+        ensemble, dataset, both, settings=settings, equivalent=equivalent("both")
+    )
+    pairs = pair(dataset, both).subset(np.flatnonzero(~held_out(both)))
+    rows = pairs.data.base_row
+    assert rows is not None
+    columns = {p.name: pairs.data.inputs[:, i] for i, p in enumerate(DESIGN_SPACE)}
+    by_base = ensemble.unseen_by(dataset, rows)
+    held = folds(len(pairs), QUICK.folds, QUICK.repeats, 0)
+    by_change = np.stack([np.flatnonzero(one) for one in held.T], axis=1)
+    asked = ask(
+        ensemble,
+        model.space,
+        (model.equivalent, model.shift),
+        columns,
+        pairs.data.inputs[:, len(DESIGN_SPACE) :],
+        by_base,
+    )
+    own, pressure = asked.base_pressure(pairs.pressure), pairs.pressure
+    there = ensemble.answers(asked.plain, own, asked.base_limit).values
+    here = ensemble.answers(asked.drawn, pressure, asked.drawn_limit).values
+    nearness = own / asked.base_limit.pressure[:, None]
+    more = model.change(asked.inputs(own, slice(None)), nearness).values
+    each = np.arange(len(pairs))
+    found = (there - here)[by_base, each] + more[by_change, each] - pairs.difference
+    np.testing.assert_allclose(given[0], found[:, pairs.shared], rtol=1e-9, atol=1e-15)
 
 
 def test_limit_pressure_shifts(model: Corrected, ensemble: Ensemble) -> None:

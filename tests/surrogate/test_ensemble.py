@@ -17,7 +17,8 @@ from datagen.errors import FileError, InputError
 from datagen.response import OUTPUT_NAMES
 from datagen.response import Path as LoadPath
 from datagen.space import Parameter, Space
-from surrogate.ensemble import Ensemble
+from surrogate.ensemble import Ensemble, stacked
+from surrogate.split import held_out, training_rows
 from surrogate.train import train
 from tests.surrogate.conftest import QUICK
 from tests.surrogate.synthetic import synthetic
@@ -54,6 +55,34 @@ def test_a_rescaled_device_gets_the_rescaled_answer(ensemble: Ensemble) -> None:
     ours = ensemble.limit_pressure([design]).pressure * modulus
     theirs = ensemble.limit_pressure([scaled(design, length, modulus)]).pressure
     np.testing.assert_allclose(theirs, ours, rtol=1e-9)
+
+
+def test_members_that_had_not_seen_a_design_err_more(
+    ensemble: Ensemble, dataset: Dataset
+) -> None:
+    rows = training_rows(dataset)[3::2]
+    unseen = ensemble.unseen_by(dataset, rows)
+    assert unseen.shape == (QUICK.repeats, len(rows))
+    paths = [LoadPath(dataset.pressure[row, : dataset.steps(row)]) for row in rows]
+    pressure = stacked([dataset.design(row) for row in rows], paths)
+    answers, _ = ensemble._answers(
+        ensemble._prepared([dataset.design(row) for row in rows]), pressure
+    )
+    values = dataset.values[rows][:, : pressure.shape[1]]
+    error = np.nanmedian(np.abs(answers.values - values) / values, axis=(2, 3))
+    own = np.zeros(error.shape, dtype=bool)
+    own[unseen, np.arange(len(rows))] = True
+    assert np.median(error[own]) > 1.2 * np.median(error[~own])
+
+
+def test_what_members_have_seen_is_known_of_their_own_dataset(
+    ensemble: Ensemble, dataset: Dataset
+) -> None:
+    with pytest.raises(InputError, match=r"dataset: .* as trained on"):
+        ensemble.unseen_by(synthetic(240, seed=4), np.array([0]))
+    for row in (np.flatnonzero(held_out(dataset))[0], len(dataset)):
+        with pytest.raises(InputError, match="designs that were trained on"):
+            ensemble.unseen_by(dataset, np.array([row]))
 
 
 def test_no_response_at_zero_pressure(ensemble: Ensemble) -> None:

@@ -18,6 +18,7 @@ from datagen.dataset import Dataset
 from datagen.device import named_device
 from datagen.errors import InputError
 from datagen.parts import parts_folder
+from datagen.response import Path as LoadPath
 from service.cli import main
 from surrogate import learn as learning
 from surrogate.corrected import Corrected
@@ -160,6 +161,86 @@ def test_other_settings_are_refused(
     ):
         with pytest.raises(InputError, match=told):
             again(tmp_path / "n", **changed)
+
+
+def test_a_new_beginning(dataset: Dataset, finished: Path, tmp_path: Path) -> None:
+    """Other settings: what was begun is discarded, what is there stays to the end."""
+
+    def begin(out: Path, **changed: object) -> Corrected:
+        settings: dict[str, object] = {
+            "paths": 16,
+            "executor": Here(),
+            "settings": replace(QUICK, fit=replace(QUICK.fit, steps=50)),
+            "means": means("tilt"),
+            "resume": True,
+        }
+        base = Ensemble.load(finished / "base")
+        return learn(base, dataset, ("tilt",), {}, out, **(settings | changed))  # type: ignore[arg-type]
+
+    class Stop(Exception):
+        pass
+
+    def stop(stage: str, done: int, *_: object) -> None:
+        if (stage, done) == ("increment", 4):
+            raise Stop
+
+    out, work = tmp_path / "m", tmp_path / "m.work"
+    with pytest.raises(Stop):
+        begin(out, report=stop)
+    with pytest.raises(InputError, match=r"paths: 20 .* restart \(--restart\) begins"):
+        begin(out, paths=20)
+    with pytest.raises(Stop):
+        begin(out, paths=20, restart="a", report=stop)
+    assert len(list(parts_folder(work / INCREMENT).glob("row-*.json"))) == 4
+    solved = []
+    # The same beginning, as a job that is run again after a kill: it goes on.
+    first = begin(
+        out, paths=20, restart="a", report=lambda *now: solved.append(now[:2])
+    )
+    assert first.description["paths"] == 20 and not work.exists()
+    assert min(done for stage, done in solved if stage == "increment") == 4
+    assert begin(out, paths=20, restart="a").version == first.version
+    with pytest.raises(Stop):
+        begin(out, paths=17, restart="b", report=stop)
+    assert Corrected.load(out).version == first.version
+    assert begin(out, paths=17, restart="b").description["paths"] == 17
+    assert Corrected.load(out).description["paths"] == 17 and not work.exists()
+    # Damage is no reason not to begin anew.
+    (out / "model.json").write_text("{")
+    work.mkdir()
+    (work / PLAN).write_text("[")
+    assert begin(out, paths=16, restart="c").description["paths"] == 16
+
+
+def test_one_that_is_finished_serves_other_samples(
+    finished: Path, tmp_path: Path
+) -> None:
+    """Inside its stated ranges; outside nothing is written."""
+    whole = Corrected.load(finished / "whole")
+    samples = np.array([[0.9, 0.1], [0.92, 0.08]])
+    out = tmp_path / "m"
+    made = learning.hand_on(finished / "whole", out, samples, "parent")
+    assert made is not None and made.version == Corrected.load(out).version
+    np.testing.assert_array_equal(made.samples, samples)
+    assert made.parameters["soft"]["factor"] == pytest.approx(0.91)
+    assert made.description[learning.HANDED_ON] == "parent"
+    assert made.description["accuracy"] == whole.description["accuracy"]
+    some, paths = [named_device()], [LoadPath(np.array([10e3, 20e3]))]
+    np.testing.assert_array_equal(
+        made.marginal(some, paths).high, whole.marginal(some, paths, samples).high
+    )
+    assert (out / INCREMENT).read_bytes() == (
+        finished / "whole" / INCREMENT
+    ).read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["m"]
+    for far in ([[0.69, 0.1]], [[0.9, 0.1], [0.9, 0.21]]):
+        there = tmp_path / "n"
+        assert learning.hand_on(finished / "whole", there, np.array(far), "p") is None
+        assert not there.exists()
+    begun = tmp_path / "n.work"
+    begun.mkdir()
+    (begun / PLAN).write_text("{}")
+    assert learning.hand_on(finished / "whole", tmp_path / "n", samples, "p") is None
 
 
 def test_time_budget(
