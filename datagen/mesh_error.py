@@ -3,12 +3,13 @@
 The path is solved again on a coarser mesh (`mesh.COARSER`), at the pressures of
 its load steps.  With v the values, w those of the coarser mesh, the estimate is
 
-    e(s) = k (max_{t <= s} |v(t) - w(t)|  +  c max_{t <= s} |w(t)|)
+    e(s) = k (max_{t <= s} |v(t) - w(t)|  +  c S(s))
 
-for every output.  The first maximum runs over the load steps up to s, because a
-difference may change its sign on the way; the second one, because two meshes may agree
-by accident, over all points of the coarser path up to s, whatever the load steps are:
-a tip may stand near zero where it is asked for.  k and c are calibrated for each level
+for every output.  The maximum runs over the load steps up to s, because a difference
+may change its sign on the way; the second term is there because two meshes may agree by
+accident.  S is the largest amount of w, over all points of the coarser path up to s,
+whatever the load steps are; of tip and angle, which are small where the layers'
+bendings cancel, what drives their errors (`scale_of`).  k and c are calibrated for each level
 and output against the fine mesh, on designs drawn at random from the default design
 space (``make mesh-error``): k is the conformal quantile (Lei, G'Sell, Rinaldo,
 Tibshirani and Wasserman 2018, J. Am. Stat. Assoc. 113, 1094) over designs of the
@@ -28,6 +29,7 @@ import numpy as np
 
 from .continuation import PathFollower
 from .control import StepFailed
+from .device import Design
 from .equilibrium import Workspace
 from .errors import FileError
 from .journey import gauge
@@ -45,23 +47,51 @@ PAST_LIMIT = 1.25
 """Of a limit pressure: how far the coarser mesh looks for its own."""
 
 
-def bracket(values: Array, coarse: Array, largest: Array, floor: Array) -> Array:
+def scale_of(largest: Array, design: Design) -> Array:
+    """S of the estimate.
+
+    Tip and angle err by what the edges of all balloons, as hinges, err in their turn.
+    That goes with the inflation, both ways, and the number of balloons, once more along
+    the strip, as shorter ones have fewer elements each: of powers of the design's
+    numbers and lengths these tell best what tip and angle miss on random designs.
+
+    Parameters
+    ----------
+    largest : (s, m) array, SI
+        Largest amount on the coarser path up to each load step.
+    design : Design
+
+    Returns
+    -------
+    (s, m) array, SI
+    """
+    scale = np.array(largest, dtype=float)
+    column = OUTPUT_NAMES.index
+    blown = largest[:, [column("inflation"), column("inflation_lower")]].sum(axis=1)
+    moved = blown * design.divisions_x**2 * design.divisions_y
+    scale[:, column("tip_deflection")] = moved
+    scale[:, column("bending_angle")] = moved / design.length
+    return scale
+
+
+def bracket(values: Array, coarse: Array, scale: Array, floor: Array) -> Array:
     """The estimate over its factor k.
 
     Parameters
     ----------
     values, coarse : (s, m) arrays, SI
         On the level's own mesh and on the coarser one; no NaN.
-    largest : (s, m) array, SI
-        Largest amount on the coarser path up to each load step.
+    scale : (s, m) array, SI
+        See `scale_of`.
     floor : (m,) array
+        c.
 
     Returns
     -------
     (s, m) array, SI; never smaller than at the step before.
     """
     difference = np.maximum.accumulate(np.abs(values - coarse), axis=0)
-    found: Array = difference + floor * largest
+    found: Array = difference + floor * scale
     return found
 
 
@@ -82,9 +112,9 @@ class Factors:
     limit_factor: float
     limit_floor: float
 
-    def bound(self, values: Array, coarse: Array, largest: Array) -> Array:
+    def bound(self, values: Array, coarse: Array, scale: Array) -> Array:
         """The estimate along one path, (s, m), SI; arguments as of `bracket`."""
-        bound: Array = self.factor * bracket(values, coarse, largest, self.floor)
+        bound: Array = self.factor * bracket(values, coarse, scale, self.floor)
         return bound
 
     def limit_bound(self, limit: float, coarse: float) -> float:
@@ -138,8 +168,10 @@ class Comparison:
 
     Parameters
     ----------
-    coarse, largest : (s, m) arrays, SI
-        See `bracket`.
+    coarse : (s, m) array, SI
+        Its outputs.
+    largest : (s, m) array, SI
+        Their largest amount up to each load step.
     end : float, Pa
         The limit pressure, or where the path ended without one.
     """
@@ -256,8 +288,9 @@ def estimate(
     targets, time, steps = _targets(path, response)
     other = follow(problem, targets, time, workspace)
     error = np.full(response.values.shape, np.nan)
+    scale = scale_of(other.largest[:steps], problem.design)
     error[0, :steps] = known.bound(
-        response.values[0, :steps], other.coarse[:steps], other.largest[:steps]
+        response.values[0, :steps], other.coarse[:steps], scale
     )
     limit = known.limit_bound(float(response.limit_pressure[0]), other.end)
     return error, np.array([limit])

@@ -20,7 +20,7 @@ from datagen.continuation import PathFollower
 from datagen.device import DESIGN_SPACE, MAX_PRESSURE, Design, named_device
 from datagen.journey import gauge
 from datagen.mesh import COARSER, LEVELS, SKETCH, MeshLevel
-from datagen.mesh_error import bracket
+from datagen.mesh_error import bracket, scale_of
 from datagen.observe import Instruments
 from datagen.problem import baseline
 from datagen.response import OUTPUT_NAMES
@@ -167,15 +167,15 @@ def solve_all(paths: int, workers: int) -> None:
 class Cases:
     """Designs on every mesh, at their load steps.
 
-    values, largest : dict of level to (n, s, m) array, SI
-        Outputs; their largest amount on the path up to each load step.
+    values, extent : dict of level to (n, s, m) array, SI
+        Outputs, and `scale_of` their largest amounts up to each load step.
     limit : dict of level to (n,) array, Pa
         NaN where there is none.
     seconds : dict of level to (n,) array
     """
 
     values: dict[str, Array]
-    largest: dict[str, Array]
+    extent: dict[str, Array]
     limit: dict[str, Array]
     seconds: dict[str, Array]
 
@@ -184,7 +184,7 @@ class Cases:
 
     def some(self, chosen: Array) -> Cases:
         """Those of a mask or of indices."""
-        fields = (self.values, self.largest, self.limit, self.seconds)
+        fields = (self.values, self.extent, self.limit, self.seconds)
         return Cases(*({k: v[chosen] for k, v in field.items()} for field in fields))
 
     def errors(self, level: str) -> Array:
@@ -195,7 +195,7 @@ class Cases:
     def brackets(self, level: str, floor: Array, alone: bool = False) -> Array:
         """The estimate over k, (n, s, m), SI; `alone`: each load step by itself."""
         other = COARSER[level].name
-        parts = (self.values[level], self.values[other], self.largest[other])
+        parts = (self.values[level], self.values[other], self.extent[other])
         if alone:
             shape = parts[0].shape
             flat = (part.reshape(-1, 1, shape[2]) for part in parts)
@@ -222,31 +222,42 @@ class Cases:
         return scale
 
 
-def _curve(run: Run) -> tuple[Array, Array]:
-    """Outputs (NaN where not reached) and their largest amount, at the load steps."""
-    values, largest = (np.array(run[k], dtype=float) for k in ("values", "largest"))
-    return values, largest
+def _values(run: Run) -> Array:
+    """(s, m) outputs at the load steps, SI; NaN where one was not reached."""
+    return np.array(run["values"], dtype=float)
+
+
+def _extent(run: Run, design: Design) -> Array:
+    """(s, m) scale of the estimate's second term, SI."""
+    return scale_of(np.array(run["largest"], dtype=float), design)
 
 
 def collect(published: bool = False) -> tuple[Cases, list[str]]:
     """Designs that are solved on every mesh, and what was left out and why."""
     runs, chosen, left_out = known(), [], []
+    drawn = designs(0 if published else HYPERCUBE)
+    made = []
     for row in PUBLISHED if published else range(HYPERCUBE):
         on = {m.name: runs[row, m.name] for m in MESHES if (row, m.name) in runs}
         if len(on) < len(MESHES):
             continue
-        short = [n for n, run in on.items() if np.isnan(_curve(run)[0]).any()]
+        short = [n for n, run in on.items() if np.isnan(_values(run)).any()]
         left_out += [f"design {row}, {n}: {on[n]['message']}" for n in short]
         if not short:
             chosen.append(on)
+            made.append(drawn[row])
     if not chosen:
         return Cases({}, {}, {TRUTH: np.empty(0)}, {}), left_out
     names = [level.name for level in MESHES]
-    curves = {n: [_curve(on[n]) for on in chosen] for n in names}
     return (
         Cases(
-            {n: np.stack([values for values, _ in curves[n]]) for n in names},
-            {n: np.stack([largest for _, largest in curves[n]]) for n in names},
+            {n: np.stack([_values(on[n]) for on in chosen]) for n in names},
+            {
+                n: np.stack(
+                    [_extent(on[n], one) for on, one in zip(chosen, made, strict=True)]
+                )
+                for n in names
+            },
             {
                 n: np.array([on[n]["limit"] for on in chosen], dtype=float)
                 for n in names

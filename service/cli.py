@@ -125,13 +125,13 @@ def solve(
     design = _design(device, case, settings)
     pressure = pressures_from_bench(parse_pressures(pressures))
     parameters = parse_effects(effect)
-    if not sensitivities:
-        check_acting(parameters)
     from .answer import fem_answer
     from .versions import fem_model, fem_name, named_version
 
     version = named_version(model, workspace)
     with fem_model(version, parameters, level, effects_dir) as forward:
+        if not sensitivities:
+            check_acting(parameters)
         parameters = {name: dict(own) for name, own in forward.parameters.items()}
         with waiting("finite elements", as_json):
             answer = fem_answer(

@@ -26,8 +26,8 @@ def drawn(count: int, seed: int) -> Cases:
         limit[level.name] = 1e5 * (1 + share[:, 0, 0])
         share = share * rng.uniform(-0.5, 0.5, shape)
     values[TRUTH], limit[TRUTH] = truth, np.full(count, 1e5)
-    largest = {name: np.abs(value) for name, value in values.items()}
-    return Cases(values, largest, limit, {name: np.ones(count) for name in values})
+    extent = {name: np.abs(value) for name, value in values.items()}
+    return Cases(values, extent, limit, {name: np.ones(count) for name in values})
 
 
 def test_the_quantile_is_the_conformal_one() -> None:
@@ -51,7 +51,8 @@ def test_the_bound_holds_on_paths_that_it_has_not_seen() -> None:
         assert (held > 0.9).all()
         assert (held < 1.0).all()
         limits = own.limit_factor * fresh.limit_brackets(level, own.limit_floor)
-        assert 0.9 < (fresh.limit_errors(level) <= limits).mean() < 1.0
+        assert (fresh.limit_errors(level) <= limits).mean() > 0.9
+        assert own.limit_factor >= 1  # two meshes may agree on it by accident
         told = check(drawn(400, 3), level, NONE)
         assert (np.abs(told["paths"] - 0.95) < 0.04).all()
 

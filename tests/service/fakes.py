@@ -145,7 +145,7 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     from service.discrepancy_tasks import measured_of
     from tests.discrepancy.versions import version
 
-    home, read = Workspace(FilePath(payload["workspace"])), measured_of(payload)
+    home, (read,) = Workspace(FilePath(payload["workspace"])), measured_of(payload)
     folder = home.folder / payload["model"]
     made = version(
         parent=payload["on"] or "baseline",

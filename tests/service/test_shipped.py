@@ -52,7 +52,8 @@ def test_library_command_and_service_agree(
     assert library.in_range, library.reasons
     text = ",".join(map(str, kpa))
     command = run(capsys, "predict", "--case", str(case), "--pressures", text)
-    assert command == json.loads(json.dumps(library.to_columns()))
+    columns = library.to_columns() | {"parameters": {}}  # of effects: none
+    assert command == json.loads(json.dumps(columns))
     body = {"design": {"device": "S1", "case": case}, "pressure_kPa": kpa}
     answer: httpx.Response = client.post("/v1/predict", json=body)
     assert answer.json() == library.to_dict()
