@@ -9,9 +9,9 @@ for every output.  The maximum runs over the load steps up to s, because a diffe
 may change its sign on the way; the second term is there because two meshes may agree by
 accident.  S is the largest amount of w, over all points of the coarser path up to s,
 whatever the load steps are; of tip and angle, which are small where the layers'
-bendings cancel, what drives their errors (`scale_of`).  k and c are calibrated for each level
-and output against the fine mesh, on designs drawn at random from the default design
-space (``make mesh-error``): k is the conformal quantile (Lei, G'Sell, Rinaldo,
+bendings cancel, what drives their errors (`scale_of`).  k and c are calibrated for each
+level and output against the fine mesh, on designs drawn at random from the default
+design space (``make mesh-error``): k is the conformal quantile (Lei, G'Sell, Rinaldo,
 Tibshirani and Wasserman 2018, J. Am. Stat. Assoc. 113, 1094) over designs of the
 largest ratio of true error and bracket on a path, so that at a new design the bound
 holds at all its load steps with the stated probability.

@@ -257,6 +257,18 @@ def test_smooth_errors_have_size_one_and_are_smooth() -> None:
     assert neighbours > 0.99
 
 
+def test_smooth_errors_of_both_ways_share_half_of_their_variance() -> None:
+    rng = np.random.default_rng(0)
+    up = np.linspace(0.1, 1, 10)
+    place = np.concatenate([up, up[-2::-1]])
+    drawn = np.array([smooth_error(rng, place) for _ in range(4000)])
+    assert np.sqrt((drawn**2).mean()) == pytest.approx(1.0, abs=0.15)
+    one, other = drawn[:, 1], drawn[:, -2]  # at one load, far apart in time
+    assert np.corrcoef(one, other)[0, 1] == pytest.approx(0.5, abs=0.25)
+    turn, before = drawn[:, 9], drawn[:, 8]
+    assert np.corrcoef(turn, before)[0, 1] > 0.8
+
+
 def test_nuisances_are_cut_normal() -> None:
     drawn = within(np.random.default_rng(0), 20000)
     assert np.abs(drawn).max() <= FARTHEST
@@ -285,9 +297,10 @@ def test_the_truth_has_load_steps_and_a_mesh_of_its_own() -> None:
     assert path.pressure[where].tolist() == [schedule.load.tolist()] * 2
     assert path.time is not None
     assert path.time[where] == pytest.approx(schedule.time)
-    assert len(path.pressure) == 2 * 10 + 1  # and vented between the runs
+    assert len(path.pressure) == 2 * 10 + 2  # and vented between the runs
     assert path.pressure[0] == pytest.approx(0.4 * 23e3)
-    assert path.pressure[10] == 0.0
+    assert list(path.pressure[10:12]) == [0.0, 0.0]
+    assert list(path.time[9:13] - path.time[9]) == [0.0, 5.0, 60.0, 62.0]
     for name, level in MESHES.items():
         assert level != LEVELS[name]
 
