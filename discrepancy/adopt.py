@@ -144,11 +144,11 @@ def adopt(study: Study, effects: Sequence[str], seed: int = 0) -> Adoption:
     noise = whole.noise  # one unit for all rungs, where it is inferred too
     models: list[tuple[str, tuple[str, ...], Array, float]] = [
         (BASELINE, (), (study.readings.value - study.base) / noise, math.nan),
-        (RECALIBRATED, (), _left_out(nothing, noise), nothing.log_evidence),
+        (RECALIBRATED, (), left_out(nothing, noise), nothing.log_evidence),
     ]
     for count, one in enumerate([*steps, whole], start=1):
         chosen = tuple(effects[:count])
-        errors = _left_out(one, noise)
+        errors = left_out(one, noise)
         models.append((f"+ {chosen[-1]}", chosen, errors, one.log_evidence))
     rungs, method = ladder(
         models,
@@ -175,12 +175,6 @@ def adopt(study: Study, effects: Sequence[str], seed: int = 0) -> Adoption:
     )
     warnings = [*study.warnings, *notes, *_judgement(rungs), *_doubts(made)]
     return replace(made, warnings=tuple(dict.fromkeys(warnings)))
-
-
-def _left_out(one: Fit, noise: Array) -> Array:
-    """(n,) held-out residuals over a given noise."""
-    residuals: Array = left_out(one) * one.noise / noise
-    return residuals
 
 
 def _refuse(search: Search, effects: Sequence[str]) -> list[str]:

@@ -109,7 +109,3 @@ class Emulator:
         ahead = (np.abs(np.nan_to_num(self.slopes[0])) * self.span).max(axis=1)
         changes: Array = np.maximum(solved, ahead)
         return changes
-
-    def distance(self, t: Array) -> float:
-        """From coordinates (k,) to the nearest node, in ranges."""
-        return float(np.abs((self.nodes - t) / self.span).max(axis=1).min())

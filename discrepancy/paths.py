@@ -199,9 +199,9 @@ def _one_after_another(runs: Sequence[Curve]) -> tuple[list[float], list[float]]
     """
     loads: list[float] = []
     times: list[float] = []
+    timed = all(run.time is not None for run in runs)
     for run in runs:
         rest = 1.0 if isinstance(run.design, Tensile) else 0.0
-        timed = all(one.time is not None for one in runs)
         clock = np.asarray(run.time if timed else np.arange(1.0, len(run.load) + 1))
         if loads:
             step = float(np.diff(clock).min()) if len(clock) > 1 else 1.0
@@ -212,4 +212,4 @@ def _one_after_another(runs: Sequence[Curve]) -> tuple[list[float], list[float]]
             times += [times[-1] + step, float(clock[0]) - step]
         loads += [float(p) for p in run.load]
         times += [float(t) for t in clock]
-    return loads, times if all(one.time is not None for one in runs) else []
+    return loads, times if timed else []

@@ -43,3 +43,7 @@ def write(folder: Path, *changes: dict[str, str], name: str = "bench.csv") -> Pa
     path = folder / name
     path.write_text(text_of(rows(*changes)), encoding="utf-8")
     return path
+
+
+LOADS = ({"pressure_kPa": "10"}, {"pressure_kPa": "20"}, {"pressure_kPa": "30"})
+"""Three load steps of the bench's device, as changes of its row."""

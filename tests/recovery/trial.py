@@ -20,6 +20,7 @@ from datagen.device import Design
 from datagen.effects import catalogue
 from discrepancy.hypotheses import Present
 from discrepancy.judging import Ranking
+from discrepancy.laboratory import smooth_error
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.noise import Readings
 from discrepancy.rank import Search
@@ -140,17 +141,6 @@ def empty(design: Design, name: str, kind: Kind) -> Curve:
         values=np.ones((steps, len(QUANTITIES))),
         std=np.full((steps, len(QUANTITIES)), 1e-6),
     )
-
-
-def smooth_error(rng: np.random.Generator, place: Array) -> Array:
-    """A random smooth curve of variance about one: four Legendre polynomials.
-
-    Not the kernel that the ranking assumes, on purpose.
-    """
-    shape: Array = np.polynomial.legendre.legval(
-        2 * place - 1, rng.normal(size=4) / np.sqrt([1.0, 1.0, 2.0, 4.0]) / 1.3
-    )
-    return shape
 
 
 @dataclass
