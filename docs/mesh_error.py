@@ -39,6 +39,11 @@ WANTED = 0.95
 FLOORS = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1, 2e-1, 5e-1)
 """Of c in the estimate, to choose from."""
 
+INFLATION = OUTPUT_NAMES.index("inflation")
+
+WORST = 6
+"""Designs that are shown by themselves."""
+
 ENOUGH = 19
 """Designs from which the conformal quantile of 95 % is no larger than all scores."""
 
@@ -264,7 +269,8 @@ def page(cases: Cases, published: Cases, left_out: list[str]) -> str:
                 ]
             )
     head = ["mesh", "output", "error %", "bound %", "paths", "steps", "alone", "k", "c"]
-    lines += [*table(head, rows), "", "## What it costs", ""]
+    lines += [*table(head, rows), "", "## Where the tip is missed most", ""]
+    lines += [*worst_section(cases), "", "## What it costs", ""]
     rows = []
     for level, other in COARSER.items():
         here, more = cases.seconds[level], cases.seconds[other.name]
@@ -276,6 +282,38 @@ def page(cases: Cases, published: Cases, left_out: list[str]) -> str:
     lines += ["## Left out", ""]
     lines += [f"- {words}" for words in left_out] or ["No design was left out."]
     return "\n".join(lines) + "\n"
+
+
+def worst_section(cases: Cases) -> list[str]:
+    """The designs whose tip is furthest from the fine mesh's."""
+    tip = OUTPUT_NAMES.index("tip_deflection")
+    error = {
+        level: 100 * cases.errors(level)[..., tip].max(axis=1) / cases.scale[:, tip]
+        for level in CALIBRATED
+    }
+    middle = {level: float(np.median(one)) for level, one in error.items()}
+    rows = []
+    for i in np.argsort(-error["standard"])[:WORST]:
+        one = cases.designs[i]
+        a, b = (1e3 * side for side in one.balloon_size)
+        layers = 1e6 * one.upper_thickness, 1e6 * one.lower_thickness
+        rows.append(
+            [
+                f"{one.divisions_x} x {one.divisions_y}",
+                f"{a:.2f} x {b:.2f}",
+                " / ".join(f"{h:.0f}" for h in layers),
+                *(f"{1e6 * cases.scale[i, k]:.0f}" for k in (tip, INFLATION)),
+                *(f"{error[level][i]:.1f}" for level in CALIBRATED),
+            ]
+        )
+    head = ["balloons", "each, mm", "layers, um", "tip, um", "inflation, um"]
+    head += [f"{level}, %" for level in CALIBRATED]
+    words = (
+        "Largest error of the tip on the path, in percent of its largest amount there. "
+        f"Median over designs: {middle['draft']:.1f} % on the draft mesh, "
+        f"{middle['standard']:.1f} % on the standard one."
+    )
+    return [words, "", *table(head, rows)]
 
 
 def fine_section(cases: Cases, published: Cases) -> list[str]:

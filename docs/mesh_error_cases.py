@@ -172,12 +172,14 @@ class Cases:
     limit : dict of level to (n,) array, Pa
         NaN where there is none.
     seconds : dict of level to (n,) array
+    designs : tuple of n Design
     """
 
     values: dict[str, Array]
     extent: dict[str, Array]
     limit: dict[str, Array]
     seconds: dict[str, Array]
+    designs: tuple[Design, ...] = ()
 
     def __len__(self) -> int:
         return len(self.limit[TRUTH])
@@ -185,7 +187,8 @@ class Cases:
     def some(self, chosen: Array) -> Cases:
         """Those of a mask or of indices."""
         fields = (self.values, self.extent, self.limit, self.seconds)
-        return Cases(*({k: v[chosen] for k, v in field.items()} for field in fields))
+        parts = ({k: v[chosen] for k, v in field.items()} for field in fields)
+        return Cases(*parts)
 
     def errors(self, level: str) -> Array:
         """Distance from the fine mesh, (n, s, m), SI."""
@@ -263,6 +266,7 @@ def collect(published: bool = False) -> tuple[Cases, list[str]]:
                 for n in names
             },
             {n: np.array([on[n]["seconds"] for on in chosen]) for n in names},
+            tuple(made),
         ),
         left_out,
     )
