@@ -8,13 +8,15 @@ uninterrupted run gives.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -163,7 +165,7 @@ def learn(
     ------
     InputError
         When a setting is not allowed, the folder exists (without `resume`), or was
-        begun with other settings (with it).
+        begun with other settings (with it), or another process is learning beside it.
     EffectError, FileError, GenerationError, Interrupted
         As in `datagen.generate.generate`.
     """
@@ -181,52 +183,53 @@ def learn(
     wanted = _request(
         base, dataset, space, near, seed, samples, paths, minutes, settings
     ) | {"effects_dir": _sources(effects_dir)}
-    if folder.exists() and not (restart and _beginning(folder) != restart):
-        return _finished(folder, work, wanted, resume or bool(restart))
-    begun = _begin(work, wanted, resume, restart)
-    level = means.level or mesh_of(dataset)
-    fits = means.fits or fem_fits(active, level, effects_dir)
-    if "count" not in begun:
-        count = paths
-        if count is None:
-            assert minutes is not None
-            first = plan(dataset, space, FEWEST_PATHS, seed, near, fits)
-            seconds = _one_path(first, dataset, level, effects_dir, means.solve)
-            count = _affordable(minutes, seconds, max(workers, 1))
-        begun = begun | {"count": count}
-        write_text(work / PLAN, json.dumps(begun, indent=1) + "\n")
-    planned = plan(dataset, space, int(begun["count"]), seed, near, fits)
+    with _alone(folder):
+        if folder.exists() and not (restart and _beginning(folder) != restart):
+            return _finished(folder, work, wanted, resume or bool(restart))
+        begun = _begin(work, wanted, resume, restart)
+        level = means.level or mesh_of(dataset)
+        fits = means.fits or fem_fits(active, level, effects_dir)
+        if "count" not in begun:
+            count = paths
+            if count is None:
+                assert minutes is not None
+                first = plan(dataset, space, FEWEST_PATHS, seed, near, fits)
+                seconds = _one_path(first, dataset, level, effects_dir, means.solve)
+                count = _affordable(minutes, seconds, max(workers, 1))
+            begun = begun | {"count": count}
+            write_text(work / PLAN, json.dumps(begun, indent=1) + "\n")
+        planned = plan(dataset, space, int(begun["count"]), seed, near, fits)
 
-    def solved(state: Progress) -> None:
-        if report:
-            report("increment", state.done, state.total, state.seconds_left)
+        def solved(state: Progress) -> None:
+            if report:
+                report("increment", state.done, state.total, state.seconds_left)
 
-    increment = solve_increment(
-        planned,
-        dataset,
-        work / INCREMENT,
-        level=level,
-        effects_dir=effects_dir,
-        workers=workers,
-        scheduler=scheduler,
-        resume=True,
-        progress=solved,
-        executor=executor,
-        solve=means.solve,
-        version=means.version,
-    )
+        increment = solve_increment(
+            planned,
+            dataset,
+            work / INCREMENT,
+            level=level,
+            effects_dir=effects_dir,
+            workers=workers,
+            scheduler=scheduler,
+            resume=True,
+            progress=solved,
+            executor=executor,
+            solve=means.solve,
+            version=means.version,
+        )
 
-    def trained(stage: str, step: int, steps: int, loss: float) -> None:
-        if report:
-            report(stage, step, steps, None)
+        def trained(stage: str, step: int, steps: int, loss: float) -> None:
+            if report:
+                report(stage, step, steps, None)
 
-    equivalent = means.equivalent or fit_equivalent(space, seed, effects_dir)
-    model = fit_corrected(
-        base, dataset, increment, seed, settings, equivalent, samples, trained
-    )
-    more = {"unfit_designs": planned.unfit, "request": wanted, "restart": restart}
-    model = replace(model, description=model.description | more)
-    return _publish(model, folder, work, work / INCREMENT)
+        equivalent = means.equivalent or fit_equivalent(space, seed, effects_dir)
+        model = fit_corrected(
+            base, dataset, increment, seed, settings, equivalent, samples, trained
+        )
+        more = {"unfit_designs": planned.unfit, "request": wanted, "restart": restart}
+        model = replace(model, description=model.description | more)
+        return _publish(model, folder, work, work / INCREMENT)
 
 
 def hand_on(
@@ -255,6 +258,13 @@ def hand_on(
     InputError, FileError
         When the samples are of other parameters, or a file cannot be read or written.
     """
+    with _alone(folder):
+        return _hand_on(source, folder, samples, origin)
+
+
+def _hand_on(
+    source: Path, folder: Path, samples: Array, origin: str
+) -> Corrected | None:
     work = folder.with_name(f"{folder.name}.work")
     if (work / PLAN).exists():
         return None
@@ -271,6 +281,34 @@ def hand_on(
     )
     _make(work)
     return _publish(made, folder, work, source / INCREMENT)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """No other process learns beside this folder while in the block.
+
+    The lock is the folder that both it and its working folder are in: no file is left,
+    and a killed run holds nothing.
+
+    Raises
+    ------
+    InputError
+        When another does.
+    FileError
+        When the folder around it cannot be read.
+    """
+    try:
+        around = os.open(folder.parent, os.O_RDONLY)
+    except OSError as error:
+        raise FileError(folder.parent, f"cannot be read: {reason(error)}") from error
+    try:
+        fcntl.flock(around, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        allowed = "a folder beside which no other training is running"
+        raise InputError("out", str(folder), allowed) from None
+    finally:
+        os.close(around)
 
 
 def _request(

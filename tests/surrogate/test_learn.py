@@ -243,6 +243,41 @@ def test_one_that_is_finished_serves_other_samples(
     assert learning.hand_on(finished / "whole", tmp_path / "n", samples, "p") is None
 
 
+def test_two_at_once_are_refused(
+    dataset: Dataset, finished: Path, tmp_path: Path
+) -> None:
+    """The second would discard what the first has in its working folder."""
+    base = Ensemble.load(finished / "base")
+    out = tmp_path / "m"
+    told = []
+
+    def second(stage: str, done: int, total: int, left: float | None) -> None:
+        with pytest.raises(InputError, match="no other training is running") as error:
+            learn(
+                base, dataset, ("tilt",), {}, out, restart="again", means=means("tilt")
+            )
+        told.append(str(error.value))
+        with pytest.raises(InputError, match="no other training is running"):
+            learning.hand_on(finished / "whole", out, np.array([[0.9, 0.1]]), "p")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        learn(
+            base,
+            dataset,
+            ("tilt",),
+            {},
+            out,
+            paths=16,
+            workers=1,
+            executor=Here(),
+            report=second,
+            means=means("tilt"),
+        )
+    assert told
+    assert (tmp_path / "m.work" / PLAN).exists()  # untouched by the second
+
+
 def test_time_budget(
     monkeypatch: pytest.MonkeyPatch, dataset: Dataset, finished: Path, tmp_path: Path
 ) -> None:
