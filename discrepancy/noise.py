@@ -17,9 +17,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import lapack
 
 from datagen.errors import InputError
 
@@ -210,6 +211,17 @@ class Frame:
         """(n,) group of each turned reading: curves never mix groups."""
         return self.readings.group
 
+    @cached_property
+    def groups(self) -> list[int]:
+        """Groups that have readings, ascending."""
+        return [int(g) for g in np.unique(self.group)]
+
+    @cached_property
+    def members(self) -> Array:
+        """(groups, n) array: 1 where a reading is of a group, else 0."""
+        same: Array = self.group == np.array(self.groups)[:, None]
+        return same.astype(float)
+
     @property
     def log_volume(self) -> float:
         """Log determinant that turning adds to a density of the readings."""
@@ -217,7 +229,7 @@ class Frame:
 
     def hyper(self, common: bool = False) -> Hyper:
         """Amplitudes to be inferred; `common` adds those of an unknown effect."""
-        groups = [int(g) for g in np.unique(self.group)]
+        groups = self.groups
         open_groups = [
             g for g in groups if not self.readings.stated[self.group == g].all()
         ]
@@ -262,21 +274,14 @@ class Covariance:
         columns: Array,
         common: tuple[Array, ...] = (),
     ) -> None:
-        groups = [int(g) for g in np.unique(frame.group)]
+        groups = frame.groups
         amplitude = dict(zip(hyper.names, np.exp(eta), strict=True))
-        self._hyper, self._groups = hyper, groups
+        self._hyper, self._frame = hyper, frame
         self._open = ~frame.readings.stated
-        self._noise2, self._smooth2 = (
-            np.ones(len(frame.group)),
-            np.zeros_like(frame.smooth),
-        )
-        for g in groups:
-            at = frame.group == g
-            self._noise2[at & self._open] = amplitude.get(f"noise {g}", 1.0) ** 2
-            self._smooth2[at] = (
-                amplitude.get(f"smooth {g}", 0.0) ** 2 * frame.smooth[at]
-            )
-        self._group = frame.group
+        noise = np.array([amplitude.get(f"noise {g}", 1.0) ** 2 for g in groups])
+        smooth = np.array([amplitude.get(f"smooth {g}", 0.0) ** 2 for g in groups])
+        self._noise2 = np.where(self._open, noise @ frame.members, 1.0)
+        self._smooth2 = smooth @ frame.members * frame.smooth
         self.diagonal = self._noise2 + self._smooth2
         scaled = [
             amplitude[f"common {g}"] * shapes
@@ -289,12 +294,14 @@ class Covariance:
         self.columns = np.concatenate([columns, *scaled], axis=1)
         self._weighted = self.columns / self.diagonal[:, None]
         middle = np.eye(self.columns.shape[1]) + self.columns.T @ self._weighted
-        self._factor = cholesky(middle, lower=True, check_finite=False)
-        self._half = solve_triangular(
-            self._factor, self._weighted.T, lower=True, check_finite=False
-        )
+        # By LAPACK itself: a search makes tens of thousands of these small factors.
+        factor, failed = lapack.dpotrf(middle, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError(f"leading minor {failed} is not positive")
+        self._inverse, _ = lapack.dtrtri(factor, lower=1)  # of the factor
+        self._half = self._inverse @ self._weighted.T
         self.log_determinant = float(
-            np.log(self.diagonal).sum() + 2 * np.log(np.diag(self._factor)).sum()
+            np.log(self.diagonal).sum() + 2 * np.log(factor.diagonal()).sum()
         )
 
     def solve(self, r: Array) -> Array:
@@ -312,9 +319,7 @@ class Covariance:
 
     def coefficients(self, r: Array) -> Array:
         """Posterior means (r + m,) of calibrations and unknown shapes, prior units."""
-        mean: Array = cho_solve(
-            (self._factor, True), self._weighted.T @ r, check_finite=False
-        )
+        mean: Array = self._inverse.T @ (self._half @ r)
         return mean
 
     def log_density(self, r: Array) -> float:
@@ -327,19 +332,17 @@ class Covariance:
         alpha = self.solve(r)
         inverse = 1 / self.diagonal - (self._half**2).sum(axis=0)
         by_diagonal = 0.5 * (alpha**2 - inverse)
-        middle = cho_solve(
-            (self._factor, True), np.eye(len(self._owner)), check_finite=False
-        )
-        by_column = (self.columns.T @ alpha) ** 2 - (1 - np.diag(middle))
+        middle = (self._inverse**2).sum(axis=0)  # diagonal of the inverse
+        by_column = (self.columns.T @ alpha) ** 2 - (1 - middle)
+        groups, members = self._frame.groups, self._frame.members
+        own = self._owner == np.array(groups)[:, None]
+        by_group = {
+            "noise": 2 * members @ (self._noise2 * by_diagonal * self._open),
+            "smooth": 2 * members @ (self._smooth2 * by_diagonal),
+            "common": own @ by_column,
+        }
         found = []
         for name in self._hyper.names:
             kind, g = name.split()
-            if kind == "common":
-                found.append(float(by_column[self._owner == int(g)].sum()))
-            else:
-                part = self._noise2 if kind == "noise" else self._smooth2
-                at = self._group == int(g)
-                if kind == "noise":
-                    at &= self._open
-                found.append(float(2 * part[at] @ by_diagonal[at]))
+            found.append(float(by_group[kind][groups.index(int(g))]))
         return np.array(found)
