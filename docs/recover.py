@@ -55,6 +55,9 @@ NULL_NOISE, NULL_SMOOTH = 1e-6, 0.01
 COUNTS = (5, 10)
 """Devices."""
 
+LARGE = 5.0
+"""Times the noise: what an adopted effect has to be for the error to fall by 3."""
+
 ADOPTED = (10, NOISES[1])
 """Devices and noise of the trials whose effect is adopted as well."""
 
@@ -144,7 +147,7 @@ def run(lab: Lab, trial: Trial) -> dict[str, Any]:
     adopted = None
     if trial.kind == "single" and (trial.devices, trial.noise) == ADOPTED:
         planted_one = next((c for c in named if c.effects == trial.planted), None)
-        adopted = planted_one and fall(lab, readings, planted_one)
+        adopted = planted_one and fall(lab, readings, planted_one, truth)
     return {
         "trial": asdict(trial),
         "verdict": ranking.verdict,
@@ -158,10 +161,20 @@ def run(lab: Lab, trial: Trial) -> dict[str, Any]:
     }
 
 
-def fall(lab: Lab, readings: Readings, one: Candidate) -> dict[str, float]:
-    """Errors on devices left out, in noise: as stated, with the effect, the floor."""
-    lack = (readings.value - lab.study.base) / one.fit.noise
+def fall(
+    lab: Lab, readings: Readings, one: Candidate, truth: dict[str, Any]
+) -> dict[str, float]:
+    """Errors on devices left out, in noise: as stated, with the effect, the floor.
+
+    And what the planted effect itself moves the readings by, its root mean square.
+    """
+    (name, t), base = next(iter(truth.items())), lab.study.base
+    present = lab.present(name)
+    assert present is not None
+    effect = (present.predict(t).values - base) / one.fit.noise
+    lack = (readings.value - base) / one.fit.noise
     return {
+        "effect": float(np.sqrt(np.mean(effect**2))),
         "before": float(np.sqrt(np.mean(lack**2))),
         "after": held_out(one.fit),
         "floor": noise_floor(one.fit),
@@ -362,6 +375,16 @@ def adoptions(rows: list[dict[str, Any]]) -> list[str]:
             f"| {size:g} x | {len(found)} | {near:.0%} | {np.mean(ratio >= 3):.0%} | "
             f"{np.median(ratio):.1f} |"
         )
+    large = [row["adopted"] for row in chosen if row["adopted"]["effect"] >= LARGE]
+    if large:
+        ratio = np.array([one["before"] / one["after"] for one in large])
+        lines += [
+            "",
+            f"Of the {len(large)} sets whose effect is {LARGE:g} times the noise or "
+            "more (root mean square over the readings), the error falls by a factor "
+            f"of 3 or more in {np.mean(ratio >= 3):.0%}, median factor "
+            f"{np.median(ratio):.1f}.",
+        ]
     return lines
 
 
