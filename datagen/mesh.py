@@ -41,7 +41,8 @@ class MeshLevel:
         Elements from the clamp to the first balloon, from the last balloon to the
         tip, and across the rim.
     wall : int
-        Elements across a wall between two balloons.
+        Elements across a wall between two balloons; half of them, rounded up, across
+        the half wall at the mid-plane.
     membrane, spacer : int
         Elements through each membrane and through the spacer.
     edge_x, edge_y : float
@@ -51,6 +52,9 @@ class MeshLevel:
     edge_root : float
         Size of the element at the clamp over the thinner membrane's thickness; 0 where
         the elements grow from the first balloon all the way to the clamp.
+    edge_divided : float
+        Factor on `edge_x` and `edge_y` where the strip has more than one balloon:
+        their middles are near, and its tip feels every edge.
     """
 
     name: str
@@ -66,6 +70,7 @@ class MeshLevel:
     edge_y: float
     edge_z: float
     edge_root: float
+    edge_divided: float = 1.0
 
     def along(self, divisions: int) -> int:
         """Elements along half of one of `divisions` balloons."""
@@ -83,9 +88,9 @@ class MeshLevel:
 LEVELS: dict[str, MeshLevel] = {
     level.name: level
     for level in (
-        MeshLevel("draft", 4, 4, 3, 2, 2, 1, 1, 1, 0.85, 0.6, 1.0, 2.0),
-        MeshLevel("standard", 5, 4, 4, 3, 3, 1, 2, 1, 1.3, 0.9, 0.8, 2.0),
-        MeshLevel("fine", 9, 6, 7, 4, 5, 2, 3, 2, 0.35, 0.35, 0.6, 0.35),
+        MeshLevel("draft", 4, 4, 3, 2, 2, 2, 1, 1, 0.85, 0.6, 1.0, 2.0),
+        MeshLevel("standard", 5, 4, 4, 3, 3, 3, 2, 1, 1.3, 0.9, 0.8, 2.0, 0.5),
+        MeshLevel("fine", 9, 6, 7, 4, 5, 4, 3, 2, 0.35, 0.35, 0.6, 0.35),
     )
 }
 
@@ -94,7 +99,10 @@ FORMER: dict[str, MeshLevel] = {
     for level in (
         MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, 0.0),
         MeshLevel("draft-4", 4, 4, 3, 3, 2, 1, 1, 1, 1.0, 0.85, 1.0, 2.0),
-        replace(LEVELS["standard"], name="standard-4"),
+        replace(LEVELS["standard"], name="standard-4", wall=1, edge_divided=1.0),
+        replace(LEVELS["draft"], name="draft-5", wall=1),
+        replace(LEVELS["standard"], name="standard-5", wall=1, edge_divided=1.0),
+        replace(LEVELS["fine"], name="fine-5", wall=2),
     )
 }
 """Levels of earlier generator versions, by which their datasets are solved again."""
@@ -219,7 +227,9 @@ def _between(left: float, right: float, half: int, first: float) -> Array:
 def grid_lines(design: Design, level: MeshLevel) -> tuple[Array, Array, Array]:
     """Grid lines along x, y (half, from the mid-plane) and z, m."""
     thin = min(design.upper_thickness, design.lower_thickness)
-    edge_x, edge_y = level.edge_x * thin, level.edge_y * thin
+    divided = design.divisions_x * design.divisions_y > 1
+    edge = thin * (level.edge_divided if divided else 1.0)
+    edge_x, edge_y = level.edge_x * edge, level.edge_y * edge
     bx, by = design.balloons_x(), design.balloons_y()
     along = level.along(design.divisions_x)
     across = level.across(design.divisions_y)

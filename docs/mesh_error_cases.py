@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 from datagen.continuation import PathFollower
 from datagen.device import DESIGN_SPACE, MAX_PRESSURE, Design, named_device
 from datagen.journey import gauge
-from datagen.mesh import COARSER, LEVELS, SKETCH, MeshLevel
+from datagen.mesh import COARSER, FORMER, LEVELS, SKETCH, MeshLevel
 from datagen.mesh_error import bracket, scale_of
 from datagen.observe import Instruments
 from datagen.problem import baseline
@@ -37,6 +37,9 @@ PUBLISHED = {f"S1, case {case}": case for case in (1, 2, 3, 4)}
 """Solved too, at the pressures of docs/refine.py, where their answer is settled."""
 
 TRUTH = "fine"
+
+FORMER_TRUTH = FORMER["fine-5"]
+"""Stands in for the fine mesh on designs that have not been solved on it yet."""
 
 SEED, HYPERCUBE = 20_261, 100
 """Of the designs; the reference dataset has another seed."""
@@ -109,20 +112,49 @@ def _plain(array: Array) -> list[Any]:
 def known() -> dict[tuple[int | str, str], Run]:
     """Solved paths by row and level; those of a mesh that has changed are left out.
 
-    The last line of a killed run may be cut.
+    But for the former fine mesh, where there is no path on the fine one.  The last line
+    of a killed run may be cut.
     """
     if not RUNS.exists():
         return {}
     current = {level.name: list(astuple(level)[1:]) for level in MESHES}
-    found = {}
+    former = list(astuple(FORMER_TRUTH)[1:])
+    found: dict[tuple[int | str, str], Run] = {}
     for line in RUNS.read_text().splitlines():
         try:
             run = json.loads(line)
         except ValueError:
             continue
-        if run["mesh"] == current[run["level"]]:
-            found[run["row"], run["level"]] = run
+        key = run["row"], run["level"]
+        is_former = run["level"] == TRUTH and run["mesh"] == former
+        if run["mesh"] == current[run["level"]] or (is_former and key not in found):
+            found[key] = run
     return found
+
+
+def stand_in_errors() -> Array:
+    """(n,) largest distances of the tip of both fine meshes, share of the path's tip.
+
+    Of the designs that were solved on both at the same load steps.
+    """
+    tip = OUTPUT_NAMES.index("tip_deflection")
+    by_row: dict[int | str, dict[bool, Run]] = {}
+    for line in RUNS.read_text().splitlines():
+        run = json.loads(line)
+        if run["level"] == TRUTH and run["row"] not in PUBLISHED:
+            by_row.setdefault(run["row"], {})[is_current(run)] = run
+    found = []
+    for pair in by_row.values():
+        if len(pair) == 2 and pair[True]["targets"] == pair[False]["targets"]:
+            now, before = (_values(pair[current])[:, tip] for current in (True, False))
+            found.append(np.abs(now - before).max() / np.abs(now).max())
+    return np.array(found)
+
+
+def is_current(run: Run) -> bool:
+    """Whether a path was solved on a mesh of today, and not on the former fine one."""
+    mesh: list[float] = run["mesh"]
+    return mesh != list(astuple(FORMER_TRUTH)[1:])
 
 
 def targets_of(row: int | str, design: Design, runs: list[Run]) -> list[float]:
@@ -140,11 +172,14 @@ def targets_of(row: int | str, design: Design, runs: list[Run]) -> list[float]:
     return [float(target) for target in targets]
 
 
-def solve_design(row: int | str, design: Design) -> None:
-    """Solve a design on the meshes that it lacks, one line a path."""
+def solve_design(row: int | str, design: Design, truth: bool) -> None:
+    """Solve a design on the meshes that it lacks, one line a path.
+
+    With `truth` on the fine mesh, too, where the former one stands in for it.
+    """
     done = [run for (one, _), run in known().items() if one == row]
     for level in MESHES:
-        if level.name in [run["level"] for run in done]:
+        if level.name in [run["level"] for run in done if not truth or is_current(run)]:
             continue
         run = follow(design, level, targets_of(row, design, done))
         done.append(run)
@@ -156,9 +191,13 @@ def solve_design(row: int | str, design: Design) -> None:
 
 
 def solve_all(paths: int, workers: int) -> None:
-    """Solve what is missing, a design by each worker."""
+    """Solve what is missing, a design by each worker; what has a stand-in, last."""
     with ProcessPoolExecutor(workers) as pool:
-        solving = [pool.submit(solve_design, *one) for one in designs(paths).items()]
+        solving = [
+            pool.submit(solve_design, *one, truth)
+            for truth in (False, True)
+            for one in designs(paths).items()
+        ]
         for one in solving:
             one.result()
 
@@ -173,6 +212,8 @@ class Cases:
         NaN where there is none.
     seconds : dict of level to (n,) array
     designs : tuple of n Design
+    stand_ins : (n,) array of bool
+        Whether the former fine mesh stands in for the fine one.
     """
 
     values: dict[str, Array]
@@ -180,6 +221,7 @@ class Cases:
     limit: dict[str, Array]
     seconds: dict[str, Array]
     designs: tuple[Design, ...] = ()
+    stand_ins: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __len__(self) -> int:
         return len(self.limit[TRUTH])
@@ -267,6 +309,7 @@ def collect(published: bool = False) -> tuple[Cases, list[str]]:
             },
             {n: np.array([on[n]["seconds"] for on in chosen]) for n in names},
             tuple(made),
+            np.array([not is_current(on[TRUTH]) for on in chosen]),
         ),
         left_out,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -118,6 +120,29 @@ def test_thin_walls_and_short_ends_still_mesh() -> None:
     )
     mesh = build_mesh(design, mesh_level("standard"))
     assert element_data(mesh.nodes, mesh.cells).weight.min() > 0
+
+
+@pytest.mark.parametrize("level", ["draft", "standard", "fine"])
+def test_walls_are_as_many_elements_as_the_level_says(level: str) -> None:
+    """One across a wall between balloons is a hinge: tips were off by half."""
+    mesh = mesh_level(level)
+    assert mesh.wall >= 2
+    design = named_device("D8-4x2")
+    x, y, _ = grid_lines(design, mesh)
+    for here, beside in pairwise(design.balloons_x()):
+        within = (x > here[1] - 1e-12) & (x < beside[0] + 1e-12)
+        assert within.sum() == mesh.wall + 1
+    half = y < design.balloons_y()[0][0] + 1e-12
+    assert half.sum() == (mesh.wall + 1) // 2 + 1
+
+
+def test_undivided_strips_keep_their_mesh() -> None:
+    """Generator 6 changed divided strips alone: S1's published figures stand."""
+    for level in ("draft", "standard", "fine"):
+        former, now = mesh_level(f"{level}-5"), mesh_level(level)
+        for one, same in (("S1", True), ("D8-4x1", False), ("D8-1x3", False)):
+            a, b = (grid_lines(named_device(one), it) for it in (former, now))
+            assert all(np.array_equal(p, q) for p, q in zip(a, b, strict=True)) == same
 
 
 def test_unknown_level_is_refused() -> None:

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from datagen.dataset import Dataset
 from datagen.device import DESIGN_SPACE, named_device
 from datagen.errors import EffectError, InputError
-from datagen.model import Model
+from datagen.model import GENERATOR_VERSION, Model
 from datagen.space import Parameter
 from datagen.worker import STEP_STATUS, Task, solve_row
 from surrogate.change import pair
@@ -162,9 +162,10 @@ def test_ranged_space() -> None:
 def test_mesh_is_that_of_the_base() -> None:
     """Of this generator, or of an earlier one whose mesh is still here."""
     base = Dataset.read(REFERENCE / "dataset.h5")
-    assert mesh_of(base) == "standard"
-    assert mesh_of(replace(base, generator_version="1")) == "standard-1"
-    assert mesh_of(replace(base, generator_version="4")) == "standard-4"
+    assert mesh_of(replace(base, generator_version=GENERATOR_VERSION)) == "standard"
+    for former in ("1", "4", "5"):
+        of_former = replace(base, generator_version=former)
+        assert mesh_of(of_former) == f"standard-{former}"
     with pytest.raises(InputError, match="generator 0, mesh standard"):
         mesh_of(replace(base, generator_version="0"))
 
