@@ -55,8 +55,8 @@ NULL_NOISE, NULL_SMOOTH = 1e-6, 0.01
 COUNTS = (5, 10)
 """Devices."""
 
-LARGE = 5.0
-"""Times the noise: what an adopted effect has to be for the error to fall by 3."""
+LARGE, ABOVE = 5.0, 3.0
+"""Times the independent noise, and times the noise floor: effects that should show."""
 
 ADOPTED = (10, NOISES[1])
 """Devices and noise of the trials whose effect is adopted as well."""
@@ -340,7 +340,8 @@ def page(rows: list[dict[str, Any]]) -> str:
         + ", ".join(f"`{name}`" for name in sorted(without))
         + ".",
         "",
-        f"{len(rows)} trials, {np.median(seconds) if seconds else 0:.1f} s each; the "
+        f"{len(rows)} trials of {len({row['trial']['seed'] % 1000 for row in rows})} "
+        f"seeds, {np.median(seconds) if seconds else 0:.1f} s each; the "
         f"search asked for {np.median([row['asked'] for row in rows]):.0f} solves of "
         "each curve (median) besides the baseline.",
     ]
@@ -375,16 +376,24 @@ def adoptions(rows: list[dict[str, Any]]) -> list[str]:
             f"| {size:g} x | {len(found)} | {near:.0%} | {np.mean(ratio >= 3):.0%} | "
             f"{np.median(ratio):.1f} |"
         )
-    large = [row["adopted"] for row in chosen if row["adopted"]["effect"] >= LARGE]
-    if large:
-        ratio = np.array([one["before"] / one["after"] for one in large])
-        lines += [
-            "",
-            f"Of the {len(large)} sets whose effect is {LARGE:g} times the noise or "
-            "more (root mean square over the readings), the error falls by a factor "
-            f"of 3 or more in {np.mean(ratio >= 3):.0%}, median factor "
-            f"{np.median(ratio):.1f}.",
+    adopted = [row["adopted"] for row in chosen]
+    for times, above_floor, words in (
+        (LARGE, False, "independent noise"),
+        (ABOVE, True, "noise floor, tolerances of unmeasured devices included,"),
+    ):
+        large = [
+            one["before"] / one["after"]
+            for one in adopted
+            if one["effect"] >= times * (one["floor"] if above_floor else 1.0)
         ]
+        if large:
+            lines += [
+                "",
+                f"Of the {len(large)} sets whose effect is {times:g} times the {words} "
+                "or more (root mean square over the readings), the error falls by a "
+                f"factor of 3 or more in {np.mean(np.array(large) >= 3):.0%}, median "
+                f"factor {np.median(large):.1f}.",
+            ]
     return lines
 
 
