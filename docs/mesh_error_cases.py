@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import time
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
@@ -109,22 +110,27 @@ def _plain(array: Array) -> list[Any]:
     ]
 
 
+def kept() -> list[Run]:
+    """Every solved path that is kept, whatever its mesh.
+
+    The last line of a killed run may be cut.
+    """
+    found = []
+    for line in RUNS.read_text().splitlines() if RUNS.exists() else []:
+        with suppress(ValueError):
+            found.append(json.loads(line))
+    return found
+
+
 def known() -> dict[tuple[int | str, str], Run]:
     """Solved paths by row and level; those of a mesh that has changed are left out.
 
-    But for the former fine mesh, where there is no path on the fine one.  The last line
-    of a killed run may be cut.
+    But for the former fine mesh, where there is no path on the fine one.
     """
-    if not RUNS.exists():
-        return {}
     current = {level.name: list(astuple(level)[1:]) for level in MESHES}
     former = list(astuple(FORMER_TRUTH)[1:])
     found: dict[tuple[int | str, str], Run] = {}
-    for line in RUNS.read_text().splitlines():
-        try:
-            run = json.loads(line)
-        except ValueError:
-            continue
+    for run in kept():
         key = run["row"], run["level"]
         is_former = run["level"] == TRUTH and run["mesh"] == former
         if run["mesh"] == current[run["level"]] or (is_former and key not in found):
@@ -139,8 +145,7 @@ def stand_in_errors() -> Array:
     """
     tip = OUTPUT_NAMES.index("tip_deflection")
     by_row: dict[int | str, dict[bool, Run]] = {}
-    for line in RUNS.read_text().splitlines():
-        run = json.loads(line)
+    for run in kept():
         if run["level"] == TRUTH and run["row"] not in PUBLISHED:
             by_row.setdefault(run["row"], {})[is_current(run)] = run
     found = []

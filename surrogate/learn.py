@@ -295,18 +295,22 @@ def _alone(folder: Path) -> Iterator[None]:
     InputError
         When another does.
     FileError
-        When the folder around it cannot be read.
+        When the folder around it cannot be read or locked.
     """
     try:
         around = os.open(folder.parent, os.O_RDONLY)
     except OSError as error:
         raise FileError(folder.parent, f"cannot be read: {reason(error)}") from error
     try:
-        fcntl.flock(around, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(around, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            allowed = "a folder beside which no other training is running"
+            raise InputError("out", str(folder), allowed) from None
+        except OSError as error:
+            told = f"cannot be locked: {reason(error)}"
+            raise FileError(folder.parent, told) from error
         yield
-    except BlockingIOError:
-        allowed = "a folder beside which no other training is running"
-        raise InputError("out", str(folder), allowed) from None
     finally:
         os.close(around)
 

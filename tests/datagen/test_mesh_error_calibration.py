@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import astuple
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from datagen.mesh import COARSER
+from datagen.mesh import COARSER, FORMER, LEVELS
 from datagen.response import OUTPUT_NAMES
+from docs import mesh_error_cases
 from docs.mesh_error import calibrate, check, quantile
-from docs.mesh_error_cases import MESHES, TRUTH, Cases
+from docs.mesh_error_cases import (
+    MESHES,
+    TRUTH,
+    Cases,
+    is_current,
+    known,
+    stand_in_errors,
+)
 
 NONE = Cases({}, {}, {TRUTH: np.empty(0)}, {})
 
@@ -28,6 +40,41 @@ def drawn(count: int, seed: int) -> Cases:
     values[TRUTH], limit[TRUTH] = truth, np.full(count, 1e5)
     extent = {name: np.abs(value) for name, value in values.items()}
     return Cases(values, extent, limit, {name: np.ones(count) for name in values})
+
+
+def test_a_path_on_the_former_fine_mesh_stands_in_until_there_is_one_on_todays(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """In whatever order they stand, and with the last line cut by a kill."""
+    runs = tmp_path / "runs.jsonl"
+    monkeypatch.setattr(mesh_error_cases, "RUNS", runs)
+    assert known() == {}
+    tip = [[[2e-3] + 4 * [0.0]], [[1e-3] + 4 * [0.0]]]
+    former, current, draft = (
+        {"level": level, "mesh": list(astuple(mesh)[1:]), "targets": [1e4], "values": v}
+        for level, mesh, v in (
+            ("fine", FORMER["fine-5"], tip[0]),
+            ("fine", LEVELS["fine"], tip[1]),
+            ("draft", FORMER["draft-5"], tip[1]),
+        )
+    )
+    rows = [
+        (1, former),
+        (1, draft),
+        (2, former),
+        (2, current),
+        (3, current),
+        (3, former),
+    ]
+    lines = [json.dumps({"row": row} | run) for row, run in rows]
+    runs.write_text("\n".join([*lines, lines[0][:40]]))
+    found = known()
+    assert {key: is_current(run) for key, run in found.items()} == {
+        (1, "fine"): False,
+        (2, "fine"): True,
+        (3, "fine"): True,
+    }
+    assert stand_in_errors().tolist() == pytest.approx([1.0, 1.0])
 
 
 def test_the_quantile_is_the_conformal_one() -> None:
