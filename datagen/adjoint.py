@@ -11,7 +11,9 @@ on the body; for elements they are exact (`rates.py`).  All that a parameter cha
 besides (laws, moduli, growth, supports, weight, load) is a difference at the same
 nodes, which loses nothing to rounding.
 
-Laws with history need all of the displacements' derivatives, see `Sensitivity`.
+A body with a memory needs all of the displacements' derivatives, see `Sensitivity`.
+One without may have directions in which it gets one, as an effect of time has from its
+off value: to first order what they remember is the path of the body without.
 """
 
 from __future__ import annotations
@@ -88,8 +90,9 @@ class Adjoint:
     Parameters
     ----------
     problem : Problem
-        Whose path is followed.
+        Whose path is followed; its laws have no history, and it does not swell.
     directions : sequence of k Direction
+        Into problems that may have both.
     workspace : Workspace
         The path follower's.
     corrector : Corrector
@@ -124,16 +127,16 @@ class Adjoint:
             if one.problem.nodes is not problem.nodes
             and (moved := one.problem.nodes - problem.nodes).any()
         }
-        # Rates at which the body grows; it grows without stress but at the clamp.
-        self._grows = {
-            k: rate
-            for k, one in enumerate(directions)
-            if (rate := (_mean_growth(one.problem) - _mean_growth(problem)) / one.step)
-        }
+        self._grows = self._growing()
         # The same bodies on the nodes that stay: what changes besides the nodes.
         self._stayed = [
             self._on_nodes(one.problem, ahead, k in self._moves)
             for k, (one, ahead) in enumerate(zip(directions, self._ahead, strict=True))
+        ]
+        self._remembering = [
+            one
+            for one in self._stayed
+            if one is not None and any(law.history_size for law in one.problem.laws)
         ]
         self._read_ahead = [
             Instruments(one.problem) if self._reads_otherwise(k) else None
@@ -145,6 +148,17 @@ class Adjoint:
         self._known: list[tuple[float, Array]] = []  # adjoints at the last points
         # Largest amounts of the derivatives so far, (m, k).
         self._largest = np.zeros((len(OUTPUT_NAMES), len(self.directions)))
+
+    def _growing(self) -> dict[int, float]:
+        """Rates at which the body grows; it grows without stress but at the clamp."""
+        mine = _mean_growth(self.problem)
+        return {
+            k: rate
+            for k, (one, ahead) in enumerate(
+                zip(self.directions, self._ahead, strict=True)
+            )
+            if (rate := (_mean_growth(one.problem) * ahead.size - mine) / one.step)
+        }
 
     def _reads_otherwise(self, k: int) -> bool:
         """Whether the instruments may see something else along direction k."""
@@ -159,6 +173,7 @@ class Adjoint:
         mine = self.problem
         alike = (
             other.laws == mine.laws
+            and other.swellings == mine.swellings
             and other.local_share == mine.local_share
             and np.array_equal(other.shear_modulus, mine.shear_modulus)
             and np.array_equal(other.bulk_modulus, mine.bulk_modulus)
@@ -368,12 +383,31 @@ class Adjoint:
         return shapes_and_volume, np.insert(found, VOLUME, True)
 
     has_history = False
+    """Derivatives at a point need none at the points before."""
 
     def keep(self, point: Point, dt: float) -> None:
-        """A step that led to a visited point leaves nothing behind."""
+        """Let the step of `dt`, s, to a point be part of what directions remember.
+
+        Raises
+        ------
+        InvertedElement
+        """
+        if not self._remembering:
+            return
+        plain = self._here.kinematics(point.x)
+        for one in self._remembering:
+            alike = one.strains_as(self.problem)
+            f = (plain if alike else one.kinematics(point.x)).f
+            one.history = one.respond(f, dt, False)[2]
 
     def set_time(self, time: float) -> None:
-        """Time changes nothing."""
+        """Let the problems ahead be swollen as they are at a time, s."""
+        for ahead, stayed in zip(self._ahead, self._stayed, strict=True):
+            if ahead.problem.swellings:
+                ahead.set_time(time)
+                if stayed is not None:
+                    stayed.set_time(time)
+        self._grows = self._growing()
 
     def _pressure_ahead(self, point: Point, k: int) -> float:
         """Cavity pressure along direction k at the gauge pressure of a point, Pa."""
@@ -383,10 +417,10 @@ class Adjoint:
 
 
 def _mean_growth(problem: Problem) -> float:
-    """Mean linear strain of the initial strain Fg."""
+    """Mean stretch of the initial strain Fg."""
     if problem.growth is None:
-        return 0.0
-    return float(np.trace(problem.growth, axis1=1, axis2=2).mean() / 3 - 1)
+        return 1.0
+    return float(np.trace(problem.growth, axis1=1, axis2=2).mean() / 3)
 
 
 def _alike(one: Array | None, other: Array | None) -> bool:

@@ -14,6 +14,7 @@ passes in one step.  What a body has at rest it has had for long.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -63,9 +64,8 @@ class PathFollower:
         self.options = options or Options()
         self.equations = Equilibrium(problem, self.workspace)
         laws = [law for one in directions for law in one.problem.laws]
-        fades = any(getattr(law, "fades", False) for law in (*problem.laws, *laws))
-        self.parts = self.options.fading_parts if fades else 1
-        self._remembers = any(law.history_size for law in (*problem.laws, *laws))
+        self._body_remembers = any(law.history_size for law in problem.laws)
+        self._remembers = self._body_remembers or any(law.history_size for law in laws)
         self._swells = any(
             one.swellings for one in (problem, *(d.problem for d in directions))
         )
@@ -86,10 +86,17 @@ class PathFollower:
         self._sensitivity: Sensitivity | Adjoint | None = None
         if directions:
             assert isinstance(problem, Problem), "outputs are those of a device"
-            follows = self._remembers or self._swells or problem.observers
-            self._sensitivity = (Sensitivity if follows else Adjoint)(
-                problem, directions, self.workspace, self.corrector
-            )
+            changes = self._body_remembers or problem.swellings
+            self._sensitivity = (
+                Sensitivity if changes or problem.observers else Adjoint
+            )(problem, directions, self.workspace, self.corrector)
+        # Memories that fade ask for short steps in time.  Those of directions alone
+        # take them between the points of the path.
+        fades = any(getattr(law, "fades", False) for law in (*problem.laws, *laws))
+        parts = self.options.fading_parts if fades else 1
+        self.parts, self._parts_between = parts, 1
+        if self._adjoint is not None:
+            self.parts, self._parts_between = 1, parts
         self.point: Point = None  # type: ignore[assignment]  # the start needs to know
         self.point = self._start()
         if isinstance(self._sensitivity, Sensitivity):
@@ -98,6 +105,12 @@ class PathFollower:
         first = self.options.first_step * self._thin
         self._step = first / (largest(self.point.direction) or 1.0)
         self._smallest = self.options.smallest_step * self._step
+
+    @property
+    def _adjoint(self) -> Adjoint | None:
+        """What differentiates the path of a body without memory."""
+        found = self._sensitivity
+        return found if isinstance(found, Adjoint) else None
 
     def _correct(
         self,
@@ -190,6 +203,29 @@ class PathFollower:
             self._sensitivity.keep(point, dt)
         self.equations.history = self.corrector.history
 
+    def _looked_between(self, point: Point, dt: float) -> float:
+        """Let directions remember the way to a new point; the time left of dt, s.
+
+        The body has no memory, so that its path is known between two points as well as
+        at them, and theirs need no equilibrium of their own.
+        """
+        here, parts, passed = self.point, self._parts_between, 0.0
+        whole = point.pressure - here.pressure
+        if parts == 1 or self._sensitivity is None or not whole:
+            return dt
+        chart = Chart(point, here, here.normal + point.normal)
+        first = chart.measure(here.x)
+        for share in np.arange(1, parts) / parts:
+            x, pressure = chart.at((1 - share) * first)
+            now = (pressure - here.pressure) / whole
+            if chart.before is None or not passed < now < 1:
+                continue
+            between = replace(point, x=x, pressure=pressure)
+            with suppress(InvertedElement):
+                self._sensitivity.keep(between, (now - passed) * dt)
+                passed = now
+        return (1 - passed) * dt
+
     def advance(self, pressure: float) -> bool:
         """One step towards a cavity pressure, Pa; True when it was reached.
 
@@ -239,9 +275,10 @@ class PathFollower:
                     raise
                 continue
             self._length += abs(s)
+            left = self._looked_between(point, dt)
             if self._wants_derivatives(hit):
-                point = self._differentiated(point, dt)
-            self._remember(point, dt)
+                point = self._differentiated(point, left)
+            self._remember(point, left)
             self._clock += dt
             self._accept(point, x, abs(s))
             self.turned = self.limit is None and here.slope > 0 >= point.slope
@@ -316,8 +353,10 @@ class PathFollower:
         self._clock, self.due = self.due, time
         if held and (self._remembers or self._swells):
             self._settle(self.due - self._clock)
-        elif self._swells:
+        elif self._swells and self._adjoint is None:
             self._settle(0.0)
+        else:
+            self._grow(time)  # of directions alone: the body stays as it is
 
     def head_for(self, pressure: float) -> None:
         """Go the way along the path on which a pressure, Pa, lies."""
@@ -329,7 +368,7 @@ class PathFollower:
         if heading == self._heading:
             return
         self._heading = heading
-        if self._remembers:
+        if self._body_remembers:
             self._before = None
             self._step *= self.options.turned
 

@@ -262,6 +262,11 @@ class Equilibrium:
         """Stretch by swelling at a time, s."""
         return float(np.prod([1.0 + one(time) for one in self.problem.swellings]))
 
+    @property
+    def size(self) -> float:
+        """Stretch by swelling at the time that was set last."""
+        return self._size
+
     def set_time(self, time: float) -> float:
         """Let the body be swollen as it is at a time, s; how much larger it has got."""
         old, self._size = self._size, self._swollen(time)

@@ -36,6 +36,11 @@ def viscoelasticity(
     are those of slow loading.  Loops close after a rest, and every cycle is like the
     one before.
     """
-    betas = (beta_1, beta_10, beta_100)
-    lower, upper = (Viscoelastic(law, betas, TIMES) for law in problem.laws)
+    betas = dict(zip(TIMES, (beta_1, beta_10, beta_100), strict=True))
+    # What has no share remembers nothing.
+    there = {time: beta for time, beta in betas.items() if beta}
+    if not there:
+        return problem
+    shares, times = tuple(there.values()), tuple(there)
+    lower, upper = (Viscoelastic(law, shares, times) for law in problem.laws)
     return replace(problem, laws=(lower, upper))

@@ -16,7 +16,7 @@ from datagen.history import Mullins, Viscoelastic, convolve
 from datagen.materials import Gent, Hyperelastic, Law, MooneyRivlin
 from datagen.mesh import mesh_level
 from datagen.model import Model
-from datagen.problem import baseline
+from datagen.problem import Problem, baseline
 from datagen.response import Path, Response
 from datagen.solver import solve
 
@@ -287,3 +287,30 @@ def test_derivatives_at_off_follow_the_history(
     error = np.abs(found.jacobian[..., column] - wanted).max(axis=(0, 1)) / scale
     assert (scale[[INFLATION, VOLUME]] > 0).all()
     assert error.max() < 0.03  # of the step: one-sided and finite
+
+
+def test_derivatives_at_off_look_between_the_points_of_the_path() -> None:
+    """A memory in directions alone costs no equilibrium; of second order in time."""
+    path, device = Path(np.array([10.0, 20.0, 10.0]) * KPA), named_device()
+
+    def problem(share: float) -> Problem:
+        shares = {"beta_1": share}
+        model = Model(("viscoelasticity",), "draft", {"viscoelasticity": shares})
+        return model.problem(device)
+
+    model, step = Model(("viscoelasticity",), "draft"), 1e-3
+    directions = model.directions(device, ("viscoelasticity.beta_1",))
+    plain = solve(problem(0.0), path)
+    fine = Options(fading_parts=16)
+    once, twice = (solve(problem(k * step), path, options=fine) for k in (1, 2))
+    wanted = (4 * once.values - twice.values - 3 * plain.values) / (2 * step)
+    errors = []
+    for parts in (1, 2, 4):
+        options = Options(fading_parts=parts)
+        found = solve(problem(0.0), path, options=options, directions=directions)
+        assert found.info["steps"] == plain.info["steps"]
+        assert found.jacobian is not None
+        apart = np.abs(found.jacobian[..., 0] - wanted).max(axis=(0, 1))
+        errors.append(float((apart / np.abs(wanted).max(axis=(0, 1))).max()))
+    assert errors[2] < 0.005, errors
+    assert all(late < early / 2 for early, late in pairwise(errors)), errors

@@ -343,9 +343,23 @@ MUTATIONS = (
         "sensitivity.py",
         "ahead.history = ahead.evaluate(x, pressure, dt).history",
         "ahead.evaluate(x, pressure, dt)",
+        ("datagen/test_sensitivity.py::test_the_history_of_a_law_is_followed",),
+    ),
+    Mutation(
+        "derivatives at off that forget the history of a law",
+        "adjoint.py",
+        "one.history = one.respond(f, dt, False)[2]",
+        "one.respond(f, dt, False)",
+        ("datagen/test_history.py::test_derivatives_at_off_follow_the_history",),
+    ),
+    Mutation(
+        "memories that see the points of a path alone",
+        "continuation.py",
+        "passed = now",
+        "passed = passed",
         (
-            "datagen/test_sensitivity.py::test_the_history_of_a_law_is_followed",
-            "datagen/test_history.py::test_derivatives_at_off_follow_the_history",
+            "datagen/test_history.py::"
+            "test_derivatives_at_off_look_between_the_points_of_the_path",
         ),
     ),
     Mutation(
