@@ -382,9 +382,10 @@ class StripMesh(Mesh):
     mid_plane : (k,) array of int
         Nodes of the symmetry plane y = 0.
     lines : dict of str to (2 c + 1,) array of int
-        Rows of nodes along x: ``bottom`` (y = 0, z = 0), and ``roof_middle``,
-        ``roof_edge``, ``floor_middle``, ``floor_edge`` on the outer surfaces over
-        the middle and the outer edge of the balloon nearest y = 0.
+        Rows of nodes along x: ``bottom`` (y = 0, z = 0), ``rim`` (the strip's side,
+        z = 0), and ``roof_middle``, ``roof_edge``, ``floor_middle``, ``floor_edge`` on
+        the outer surfaces over the middle and the outer edge of the balloon nearest
+        y = 0.
     tip : (3,) array of int
         Nodes of the element edge at x = L, y = 0 that spans mid-thickness.
     tip_weights : (3,) array
@@ -547,6 +548,7 @@ def build_mesh(design: Design, level: MeshLevel) -> StripMesh:
     middle = 0.0 if first[0] == 0.0 else (first[0] + first[1]) / 2
     lines = {
         "bottom": row(0.0, 0.0),
+        "rim": row(design.width / 2, 0.0),
         "roof_middle": row(middle, design.thickness),
         "roof_edge": row(first[1], design.thickness),
         "floor_middle": row(middle, 0.0),

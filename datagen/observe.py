@@ -192,13 +192,15 @@ def _tip_angle(mesh: StripMesh, nodes: Array, x: Array, start: float) -> float:
     start : float, m
         Undeformed x from which the line is fitted, to the tip.
     """
-    spots, points, slope = _free_end(mesh, nodes, x, start)
+    spots, points = _free_end(mesh, nodes, x, start)
     centred = points - points.mean(axis=0)
     direction = np.linalg.svd(centred, full_matrices=False)[2][0]
     if direction @ (points[-1] - points[0]) < 0:
         direction = -direction
     angle = float(np.arctan2(direction[1], direction[0]))
-    # Beyond half a turn the line alone does not tell; the turns of the strip do.
+    # Beyond half a turn the line alone does not tell; the turns of the strip do, along
+    # its side: under a wall between balloons the bottom may fold, and go backwards.
+    _, slope = _curve(x[mesh.lines["rim"]][:, [0, 2]])
     turned = np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))
     mean = float((spots @ turned).mean())
     return angle + 2 * np.pi * round((mean - angle) / (2 * np.pi))
@@ -206,27 +208,25 @@ def _tip_angle(mesh: StripMesh, nodes: Array, x: Array, start: float) -> float:
 
 def _free_end(
     mesh: StripMesh, nodes: Array, x: Array, start: float
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array]:
     """Points evenly spread over the fitted stretch, so that the mesh has no say.
 
     Returns
     -------
     spots : (41, 8 c + 1) array
-        Times samples of the bottom line: values at the points.
+        Times samples of a line of nodes along x: values at the points.
     points : (41, 2) array, m
         x and z, deformed.
-    slope : (8 c + 1, 2) array
-        Derivatives along the bottom line, deformed.
     """
     row = mesh.lines["bottom"]
     along = _curve(nodes[row][:, [0, 2]])[0][:, 0]
-    deformed, slope = _curve(x[row][:, [0, 2]])
+    deformed, _ = _curve(x[row][:, [0, 2]])
     where = np.linspace(start, along[-1], 41)
     right = np.clip(np.searchsorted(along, where), 1, len(along) - 1)
     share = (where - along[right - 1]) / (along[right] - along[right - 1])
     spots = np.zeros((len(where), len(along)))
     spots[np.arange(41), right - 1], spots[np.arange(41), right] = 1 - share, share
-    return spots, spots @ deformed, slope
+    return spots, spots @ deformed
 
 
 def _tip_angle_gradient(mesh: StripMesh, nodes: Array, x: Array, start: float) -> Array:
@@ -235,7 +235,7 @@ def _tip_angle_gradient(mesh: StripMesh, nodes: Array, x: Array, start: float) -
     The line of total least squares has the angle atan2(2 Sxz, Sxx - Szz) / 2, with S
     the sums of products of the centred points.
     """
-    spots, points, _ = _free_end(mesh, nodes, x, start)
+    spots, points = _free_end(mesh, nodes, x, start)
     cx, cz = (points - points.mean(axis=0)).T
     across, along = cx @ cz, cx @ cx - cz @ cz
     by_point = np.stack(

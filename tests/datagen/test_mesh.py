@@ -47,6 +47,7 @@ def test_named_parts_lie_where_they_should() -> None:
     left, right = design.balloons_y()[0]
     expected = {
         "bottom": (0.0, 0.0),
+        "rim": (design.width / 2, 0.0),
         "roof_middle": ((left + right) / 2, design.thickness),
         "roof_edge": (right, design.thickness),
         "floor_middle": ((left + right) / 2, 0.0),

@@ -59,6 +59,21 @@ def test_an_arc_has_its_own_tip_and_angle(problem: Problem, degrees: float) -> N
     assert found["cavity_volume"] == 4e-10
 
 
+def test_a_fold_under_a_wall_is_no_turn_of_the_strip() -> None:
+    """The bottom line may go backwards there, as no part of the strip's side does."""
+    design = named_device("D8-3x1")
+    folded = baseline(design, mesh_level("draft"))
+    x, row = folded.nodes.copy(), folded.mesh.lines["bottom"]
+    wall = (design.balloons_x()[0][1] + design.balloons_x()[1][0]) / 2
+    middle = int(np.abs(x[row, 0] - wall).argmin())
+    curl = row[middle - 4 : middle + 5]
+    place = np.linspace(0, 2 * np.pi, len(curl))
+    size = 0.6 * (x[curl[-1], 0] - x[curl[0], 0])
+    x[curl, 0] += size * np.sin(place)
+    x[curl, 2] += size * (1 - np.cos(place))
+    assert outputs(folded, x)["bending_angle"] == pytest.approx(0.0, abs=1e-12)
+
+
 @pytest.mark.parametrize("degrees", [0.01, 120.0])
 def test_a_bulge_is_measured_along_the_normal_of_the_bent_strip(
     problem: Problem, degrees: float

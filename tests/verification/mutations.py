@@ -311,6 +311,13 @@ MUTATIONS = (
         ),
     ),
     Mutation(
+        "turns counted along a line that folds",
+        "observe.py",
+        '_curve(x[mesh.lines["rim"]][:, [0, 2]])',
+        '_curve(x[mesh.lines["bottom"]][:, [0, 2]])',
+        ("datagen/test_observe.py::test_a_fold_under_a_wall_is_no_turn_of_the_strip",),
+    ),
+    Mutation(
         "turns of more than half a circle not counted",
         "observe.py",
         "return angle + 2 * np.pi * round((mean - angle) / (2 * np.pi))",
