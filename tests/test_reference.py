@@ -49,6 +49,12 @@ def test_nearly_every_path_went_as_far_as_it_can(data: Dataset) -> None:
             assert top == pytest.approx(data.limit_pressure[row], rel=1e-9)
 
 
+def test_no_strip_turns_round_in_one_step(data: Dataset) -> None:
+    angle = data.values[..., data.outputs.index("bending_angle")]
+    steps = np.abs(np.diff(np.where(data.status == 0, angle, np.nan), axis=1))
+    assert np.nanmax(steps) < np.pi / 4
+
+
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_rows_are_found_again(data: Dataset, level: str, seed: int) -> None:
     """A row drawn at random, solved again to a third and two thirds of its way."""
