@@ -210,8 +210,8 @@ class PathFollower:
         at them, and theirs need no equilibrium of their own.
         """
         here, parts, passed = self.point, self._parts_between, 0.0
-        whole = point.pressure - here.pressure
-        if parts == 1 or self._sensitivity is None or not whole:
+        adjoint, whole = self._adjoint, point.pressure - here.pressure
+        if adjoint is None or parts == 1 or not whole:
             return dt
         chart = Chart(point, here, here.normal + point.normal)
         first = chart.measure(here.x)
@@ -222,7 +222,7 @@ class PathFollower:
                 continue
             between = replace(point, x=x, pressure=pressure)
             with suppress(InvertedElement):
-                self._sensitivity.keep(between, (now - passed) * dt)
+                adjoint.keep(between, (now - passed) * dt)
                 passed = now
         return (1 - passed) * dt
 

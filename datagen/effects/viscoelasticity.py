@@ -39,8 +39,6 @@ def viscoelasticity(
     betas = dict(zip(TIMES, (beta_1, beta_10, beta_100), strict=True))
     # What has no share remembers nothing.
     there = {time: beta for time, beta in betas.items() if beta}
-    if not there:
-        return problem
     shares, times = tuple(there.values()), tuple(there)
     lower, upper = (Viscoelastic(law, shares, times) for law in problem.laws)
     return replace(problem, laws=(lower, upper))
