@@ -24,7 +24,7 @@ REFERENCE := runs/reference
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help run test lint format docs verification figures refinement recovery mesh-error \
-    reference bench-fem kill-test system pins clean
+    reference corrected bench-fem kill-test system pins clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -62,7 +62,7 @@ mesh-error: $(INSTALLED) ## calibrate the mesh error on PATHS random designs (ma
 	OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m docs.mesh_error $(PATHS) $(WORKERS)
 
 recovery: $(TESTABLE) ## plant effects by the thousand, rank them, write it down (hours)
-	OMP_NUM_THREADS=1 $(BIN)/python -m docs.recover $(SEEDS) $(WORKERS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m docs.recover $(SEEDS) $(WORKERS) "$(ONLY)"
 
 # Built aside and copied when complete: an interrupted run, which goes on where it
 # stopped, never leaves half a model in the package.  FIRST=200 solves the first part of
@@ -75,6 +75,9 @@ reference: $(INSTALLED) ## generate the reference dataset and train its model
 	$(BIN)/pba train $(REFERENCE)/dataset.h5 --out $(REFERENCE)/model
 	mkdir -p surrogate/reference
 	cp $(REFERENCE)/dataset.h5 $(REFERENCE)/model/* surrogate/reference/
+
+corrected: $(INSTALLED) ## learn surrogates with effects in them, write down how near they come (an hour)
+	OMP_NUM_THREADS=1 $(BIN)/python -m docs.corrected $(or $(MINUTES),10) $(ONLY)
 
 # FElupe in an environment of its own: pba does not need it.
 bench-fem: $(INSTALLED) $(BENCH)/.installed ## time FElupe and CalculiX against our solver (an hour or two)

@@ -174,6 +174,47 @@ def calibrate(
     return Calibration(shape, np.stack(quantiles), levels, n)
 
 
+def calibrate_beside(
+    known: tuple[Calibration, Spread],
+    own: tuple[Calibration, Spread],
+    errors: Array,
+    design: Array,
+    members: int,
+) -> Calibration:
+    """Quantiles of one part of an answer, where the other part's are known.
+
+    The half width of the whole answer is the root of the sum of squares of both parts'.
+    The two may err against each other or together, so the own quantile at a coverage is
+    that of what the other part's half width h leaves open, sqrt(max(e^2 - h^2, 0))/s:
+    the whole interval then covers whole answers, and is no wider than that takes.
+
+    Parameters
+    ----------
+    known, own : Calibration and Spread of (N, m) arrays
+        Of the part that keeps its quantiles, and of the one that gets new ones.
+    errors, design, members
+        As in `calibrate`, of the whole answer.
+    """
+    (fixed, other_spread), (part, spread) = known, own
+    _, index, counts = np.unique(design, return_inverse=True, return_counts=True)
+    n, weight = len(counts), 1 / counts[index]
+    levels = part.coverages[part.coverages <= fixed.coverages[-1]]
+    unit, other = part.scale(spread), fixed.scale(other_spread)
+    typical = np.hypot(unit, other)
+    size = np.abs(errors.mean(axis=0))
+    quantiles = np.empty((errors.shape[2], len(levels)))
+    for o in range(errors.shape[2]):
+        gained = averaging_factor(errors[..., o] / typical[:, o], weight, n, members)
+        for k, level in enumerate(levels):
+            half = fixed.quantile(level)[o] * other[:, o]
+            left = np.maximum((gained * size[:, o]) ** 2 - half**2, 0.0)
+            quantiles[o, k] = design_quantiles(
+                np.sqrt(left) / unit[:, o], weight, n, np.array([level])
+            )[0]
+    # The other part's half width grows with the level, what it leaves may shrink.
+    return Calibration(part.shape, np.maximum.accumulate(quantiles, 1), levels, n)
+
+
 def averaging_factor(scores: Array, weight: Array, designs: int, members: int) -> float:
     """How much less the mean of all members errs than that of a few.
 

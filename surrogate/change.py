@@ -25,7 +25,7 @@ from datagen.dataset import Dataset
 from datagen.errors import InputError
 
 from .accuracy import accuracy
-from .calibration import Calibration, calibrate
+from .calibration import Calibration, calibrate, calibrate_beside
 from .corrected import Asked, Corrected, Unseen, ask, evaluate
 from .effect_terms import changed, effect_owners
 from .ensemble import Ensemble
@@ -450,16 +450,25 @@ def _calibrate(
 ) -> Calibration:
     """Calibration of the change on each pair by the members that had not seen it.
 
-    A member of the base and a network answer together, so that what averages out over
-    both kinds is known.
+    Its scale follows the errors of the change, its quantiles what the base's intervals
+    leave open of those of the whole answer.  A member of the base and a network answer
+    together, so that what averages out over both kinds is known.
     """
     found = evaluate(base, change, asked, pairs.pressure, unseen)
     good = pairs.shared
     both = min(len(found.moved), len(found.more.values))
-    answers = found.more.values[:both] + found.moved[:both]
-    errors = (answers - pairs.difference)[:, good]
+    more, design = found.more.values[:both], np.nonzero(good)[0]
+    errors = (more + found.moved[:both] - pairs.difference)[:, good]
     members = min(base.expansion.stack.members, change.stack.members)
-    return calibrate(errors, found.spread[good], np.nonzero(good)[0], members)
+    own = calibrate(errors, found.spread[good], design, members)
+    whole = (more + found.base.values[:both] - pairs.data.values)[:, good]
+    return calibrate_beside(
+        (base.calibration, found.base.spread[good]),
+        (own, found.spread[good]),
+        whole,
+        design,
+        members,
+    )
 
 
 def change_errors(model: Corrected, pairs: Pairs) -> dict[str, dict[str, float]]:

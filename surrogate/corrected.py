@@ -118,7 +118,7 @@ class Corrected:
     change : Expansion
         Networks for what is left.
     calibration : Calibration
-        Of the change alone; the base has its own.
+        Of the change, beside the base's own.
     description : dict
         Where the model comes from: base, increment, sizes, seeds, accuracy.
     samples : (m, j) array, SI
@@ -205,8 +205,8 @@ class Corrected:
         """Predict at `parameters` with intervals of the given coverage.
 
         The half width is the root of the sum of squares of the base's and that of the
-        change: the one was calibrated on paths without effects, the other on
-        differences of paths.
+        change: the one was calibrated on paths without effects, the other on what that
+        leaves open of the errors with them.
 
         Raises
         ------

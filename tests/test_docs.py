@@ -17,6 +17,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from docs import corrected
+
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = {
     path.relative_to(ROOT).as_posix(): path.read_text()
@@ -172,6 +174,10 @@ def test_links_lead_somewhere(name: str) -> None:
         and not (ROOT / name).parent.joinpath(target).exists()
     ]
     assert missing == []
+
+
+def test_the_page_of_corrected_surrogates_is_of_what_was_measured() -> None:
+    assert DOCUMENTS["docs/corrected-accuracy.md"] == corrected.page(corrected.known())
 
 
 def differences(old: str, new: str) -> list[str]:

@@ -70,7 +70,9 @@ def requirements() -> list[Requirement]:
         "figures",
         "refinement",
         "mesh-error",
+        "recovery",
         "reference",
+        "corrected",
         "bench-fem",
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from surrogate.calibration import (
     Spread,
     averaging_factor,
     calibrate,
+    calibrate_beside,
     design_quantiles,
     fit_shape,
 )
@@ -60,6 +63,46 @@ def test_coverage_over_designs(designs: int, coverage: float) -> None:
     mean, error = np.mean(shares), np.std(shares) / np.sqrt(len(shares))
     # Never under; over by one part in the number of designs at most.
     assert coverage - 3 * error < mean < coverage + 1 / designs + 3 * error + 0.01
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0, 1.0])
+def test_coverage_of_two_parts_together(share: float) -> None:
+    """They err apart, or one with or against the other; the other is known."""
+    rng = np.random.default_rng(6)
+    errors, spread, design = paths(rng, 400)
+    known = calibrate(errors, spread, design, members=1)
+
+    def pairs(designs: int) -> tuple[np.ndarray, np.ndarray, tuple[Spread, ...], Any]:
+        """Errors of the whole and of the own part, spreads of both parts, designs."""
+        one, first, design = paths(rng, designs)
+        own = rng.standard_t(4, designs)[design] * first.disagreement[:, 0] / 2
+        more = own[None, :, None] + share * one
+        second = spread_of(first.disagreement[:, 0] * np.hypot(0.5, share))
+        return one + more, more, (first, second), design
+
+    shares, plain = [], []
+    for _ in range(60):
+        whole, more, (first, second), design = pairs(40)
+        alone = calibrate(more, second, design, members=1)
+        both = (known, first), (alone, second)
+        own = calibrate_beside(*both, whole, design, members=1)
+        new, _, (first, second), design = pairs(100)
+        for found, kept in ((own, shares), (alone, plain)):
+            half = np.hypot(
+                known.quantile(0.9) * known.scale(first),
+                found.quantile(0.9) * found.scale(second),
+            )
+            inside = (np.abs(new[0]) <= half)[:, 0]
+            kept.append((np.bincount(design, inside) / np.bincount(design)).mean())
+    mean, error = np.mean(shares), np.std(shares) / np.sqrt(len(shares))
+    assert mean > 0.9 - 3 * error
+    if share < 0:  # the other part's interval alone is wider than it need be
+        assert own.quantile(0.9) < 0.1 * alone.quantile(0.9)
+        assert mean < np.mean(plain)
+        return
+    assert mean < 0.9 + 1 / 40 + 3 * error + 0.01
+    if share > 0:  # each part for itself promises too little
+        assert np.mean(plain) < 0.9 - 3 * error
 
 
 def test_scale_follows_the_disagreement() -> None:
