@@ -18,6 +18,7 @@ import numpy as np
 
 from datagen.device import Design
 from datagen.effects import catalogue
+from datagen.specimens import Tensile
 from discrepancy.hypotheses import Present
 from discrepancy.judging import Ranking
 from discrepancy.laboratory import smooth_error
@@ -33,8 +34,11 @@ Array = np.ndarray
 
 QUANTITIES = ("tip_deflection", "inflation")
 
-SECONDS = 10.0
-"""Between the readings of paths that come back."""
+PULLED = 0.005
+"""Independent noise of a strip's stress, share of the stress at the last stretch."""
+
+PULL = 1.0
+"""Between a strip's readings, s."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,12 @@ class Kind:
     pressure : float, Pa
         The last of seven even load steps.
     unloading : bool
-        Whether paths come back, by six steps, with times.
+        Whether paths come back, by six steps.
+    seconds : float, optional
+        Between the readings of a device; without it no reading has a time.
+    stretch : float
+        To which a strip of each batch is pulled by eight even steps, and back by seven;
+        1 for no strips.
     without : tuple of str
         Effects that are no candidates: their paths take too long.
     """
@@ -62,6 +71,8 @@ class Kind:
     width: tuple[float, float]
     pressure: float
     unloading: bool
+    seconds: float | None = None
+    stretch: float = 1.0
     without: tuple[str, ...] = ()
 
 
@@ -83,7 +94,20 @@ KINDS = {
         width=(1.4e-3, 2.0e-3),
         pressure=25e3,
         unloading=True,
+        seconds=10.0,
         without=("viscoelasticity",),
+    ),
+    # Slowly, and with strips of both batches pulled to tell the moduli: laws at large
+    # strain show, what comes with time, and what is not the material's.
+    "strips": Kind(
+        moduli=(1.4e6, 1.0e6),
+        upper=(70e-6, 110e-6),
+        lower=(140e-6, 220e-6),
+        width=(1.4e-3, 2.0e-3),
+        pressure=25e3,
+        unloading=False,
+        seconds=60.0,
+        stretch=2.4,
     ),
 }
 
@@ -135,12 +159,45 @@ def empty(design: Design, name: str, kind: Kind) -> Curve:
         orientation=0.0,
         design=design,
         load=pressure,
-        time=SECONDS * np.arange(1, steps + 1) if kind.unloading else None,
+        time=_times(kind, steps, kind.seconds),
         branch=np.array(branch),
         outputs=QUANTITIES,
         values=np.ones((steps, len(QUANTITIES))),
         std=np.full((steps, len(QUANTITIES)), 1e-6),
     )
+
+
+def strips(kind: Kind) -> list[Curve]:
+    """Curves without readings of a strip of each batch, pulled and let back."""
+    if kind.stretch == 1.0:
+        return []
+    stretch = np.linspace(1.0, kind.stretch, 9)[1:]
+    branch = ["loading"] * 8 + ["unloading"] * 7
+    stretch = np.concatenate([stretch, stretch[-2::-1]])
+    shape = (len(stretch), 1)
+    return [
+        Curve(
+            device=f"strip of {modulus / 1e6:g} MPa",
+            run=1,
+            orientation=0.0,
+            design=Tensile(modulus),
+            load=stretch,
+            time=_times(kind, len(stretch), PULL),
+            branch=np.array(branch),
+            outputs=("stress",),
+            values=np.ones(shape),
+            std=np.full(
+                shape, PULLED * modulus / 3 * (kind.stretch - kind.stretch**-2)
+            ),
+        )
+        for modulus in kind.moduli
+    ]
+
+
+def _times(kind: Kind, steps: int, apart: float | None) -> Array | None:
+    if kind.seconds is None or apart is None:
+        return None
+    return apart * np.arange(1, steps + 1)
 
 
 @dataclass
@@ -169,7 +226,7 @@ class Lab:
             for i, design in enumerate(devices_of(kind, self.devices))
         )
         return Study(
-            Measurements(curves),
+            Measurements((*curves, *strips(kind))),
             self.solver,
             level="draft",
             fast="draft",
@@ -211,7 +268,7 @@ class Truth:
     """What was planted: effects with coordinates; empty for nothing."""
 
     effects: dict[str, Array]
-    moved: float  # largest change of a reading, over its whole uncertainty
+    moved: float  # largest change of a reading, over its `doubt`
 
 
 def readings_of(
@@ -229,7 +286,8 @@ def readings_of(
     ----------
     truth : dict of effect to coordinates
     noise : float, m
-        Standard deviation of the independent noise of tip and inflation.
+        Standard deviation of the independent noise of tip and inflation; strips keep
+        theirs.
     smooth : float
         Smooth errors, share of each curve's maximum.
     seed : int
@@ -252,9 +310,8 @@ def readings_of(
     scale = np.empty(len(values))
     for curve in np.unique(r.curve):
         scale[r.curve == curve] = np.abs(values[r.curve == curve]).max()
-    std = np.full(len(values), noise)
-    left_open = uncertainty(lab, noise, smooth)
-    moved = float(np.abs((values - base.values) / left_open).max())
+    std = independent(lab, noise)
+    moved = float(doubt(lab, noise, smooth).times(values - base.values).max())
     y = values + columns @ rng.normal(size=columns.shape[1])
     for curve in np.unique(r.curve):
         at = r.curve == curve
@@ -270,25 +327,72 @@ def readings_of(
     return made, Truth(truth, moved)
 
 
-def uncertainty(lab: Lab, noise: float, smooth: float) -> Array:
-    """(n,) standard deviation of each reading of a device that nothing is missing in.
+def of_devices(lab: Lab) -> Array:
+    """(n,) of bool: which readings are not a strip's."""
+    curves = lab.study.measurements.curves
+    return np.array(
+        [isinstance(curves[c].design, Design) for c, _, _ in lab.study.cells]
+    )
 
-    Noise, smooth errors, and what the tolerances of moduli, thicknesses and camera
-    leave open: what an effect has to stand out from.
+
+def independent(lab: Lab, noise: float) -> Array:
+    """(n,) independent noise of every reading, `noise` that of the devices, m."""
+    return np.where(of_devices(lab), noise, lab.study.readings.noise)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What an effect has to stand out from: noise, smooth errors and tolerances.
+
+    Those of moduli, thicknesses and camera; a strip tells of a device's moduli.
+
+    Parameters
+    ----------
+    std : (n,) array
+        Of each reading where nothing is missing, given the others of strips.
+    follow : (n, k) array
+        What the k readings of strips make expect of each; 0 of itself.
+    strip : (n,) array of bool
     """
+
+    std: Array
+    follow: Array
+    strip: Array
+
+    def times(self, change: Array) -> Array:
+        """(..., n) sizes of changes (..., n) of the readings, over `std`."""
+        expected = change[..., self.strip] @ self.follow.T
+        found: Array = np.abs(change - expected) / self.std
+        return found
+
+
+def doubt(lab: Lab, noise: float, smooth: float) -> Doubt:
+    """What effects have to stand out from in a lab with such errors."""
     study = lab.study
     base = study.null().prediction
-    r = study.readings
+    r, columns = study.readings, base.columns
     top = np.array([np.abs(base.values[r.curve == c]).max() for c in r.curve])
-    variance = noise**2 + (smooth * top) ** 2 + (base.columns**2).sum(axis=1)
-    std: Array = np.sqrt(variance)
-    return std
+    own, drift = independent(lab, noise), smooth * top
+    strip = ~of_devices(lab)
+    # Smooth errors as if all of a strip's readings erred alike: they tell no less.
+    same = r.curve[strip][:, None] == r.curve[strip]
+    errors = np.diag(own[strip] ** 2) + same * np.outer(drift[strip], drift[strip])
+    told = columns[strip]
+    share = np.linalg.solve(told @ told.T + errors, told).T  # of r calibrations
+    left = np.eye(columns.shape[1]) - share @ told
+    tolerances = np.einsum("nr,rs,ns->n", columns, left, columns)
+    std, follow = np.sqrt(own**2 + drift**2 + tolerances), columns @ share
+    # Of a strip's own reading: its mean and deviation given the others.
+    precise = np.linalg.inv(told @ told.T + errors)
+    std[strip] = 1 / np.sqrt(np.diag(precise))
+    follow[strip] = np.eye(strip.sum()) - precise / np.diag(precise)[:, None]
+    return Doubt(std, follow, strip)
 
 
 def size_for(
     lab: Lab, name: str, wanted: float, noise: float, smooth: float, seed: int
 ) -> Array:
-    """Coordinates of an effect that move some reading by a multiple of `uncertainty`.
+    """Coordinates of an effect that move some reading by a multiple of its `doubt`.
 
     A random direction of its parameters from off; at most to the end of the range.
     """
@@ -302,17 +406,18 @@ def size_for(
     # Not further than what was solved.
     lower = np.maximum(lower, present.nodes.min(axis=0))
     upper = np.minimum(upper, present.nodes.max(axis=0))
-    way = rng.uniform(0.3, 1.0, len(off)) * np.where(
+    shares = rng.uniform(0.3, 1.0, len(off))
+    way = (shares / shares.max()) * np.where(
         (upper - off > 1e-9) & ((rng.random(len(off)) < 0.5) | (off - lower < 1e-9)),
         upper - off,
         lower - off,
     )
     base = study.base
-    std = uncertainty(lab, noise, smooth)
+    own = doubt(lab, noise, smooth)
 
     def moved(share: float) -> float:
         change = present.many((off + share * way)[None, :])[0] - base
-        return float(np.abs(change / std).max())
+        return float(own.times(change).max())
 
     low, high = 0.0, 1.0
     if moved(1.0) < wanted:
@@ -332,15 +437,18 @@ def rank(lab: Lab, readings: Readings) -> tuple[Ranking, int]:
 def unnamed_changes(
     lab: Lab,
 ) -> dict[str, Callable[[float, float, float], Array]]:
-    """Changes of the readings by effects that the catalogue has not.
+    """Changes of the devices' readings by effects that the catalogue has not.
 
     Each is a function of the wanted size, noise and smooth errors: (n,) array.
     """
     study = lab.study
     r, base = study.readings, study.base
     designs = [study.measurements.curves[c].design for c, _, _ in study.cells]
-    upper = np.array([d.upper_thickness for d in designs])  # type: ignore[union-attr]
-    width = np.array([d.balloon_width for d in designs])  # type: ignore[union-attr]
+    device = of_devices(lab)
+    upper, width = (
+        np.array([getattr(design, name, 1.0) for design in designs])
+        for name in ("upper_thickness", "balloon_width")
+    )
     tip = np.array([study.kinds[g][1] == "tip_deflection" for g in r.group], dtype=bool)
     top = np.array([np.abs(base[r.curve == c]).max() for c in r.curve])
     shapes = {
@@ -354,8 +462,9 @@ def unnamed_changes(
 
     def scaled(shape: Array) -> Callable[[float, float, float], Array]:
         def change(size: float, noise: float, smooth: float) -> Array:
-            std = uncertainty(lab, noise, smooth)
-            found: Array = shape * size / np.abs(shape / std).max()
+            felt = np.where(device, shape, 0.0)
+            largest = doubt(lab, noise, smooth).times(felt).max()
+            found: Array = felt * size / largest
             return found
 
         return change
