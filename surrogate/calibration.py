@@ -199,7 +199,9 @@ def calibrate_beside(
     _, index, counts = np.unique(design, return_inverse=True, return_counts=True)
     n, weight = len(counts), 1 / counts[index]
     levels = part.coverages[part.coverages <= fixed.coverages[-1]]
-    unit, other = part.scale(spread), fixed.scale(other_spread)
+    # At zero pressure there may be neither a scale nor an error.
+    unit = np.maximum(part.scale(spread), np.finfo(float).tiny)
+    other = fixed.scale(other_spread)
     typical = np.hypot(unit, other)
     size = np.abs(errors.mean(axis=0))
     quantiles = np.empty((errors.shape[2], len(levels)))
