@@ -226,8 +226,9 @@ def page(runs: dict[str, Any]) -> str:
         "to is given as a gap from the first, beside its own error bar. None of them "
         "bounds the answer: the settled value is an estimate, not a bracket. Two "
         "Taylor-Hood answers of case 1 (mesh 2 at 50 kPa, mesh 3 at 40 kPa) stand 0.2 "
-        "um off the line of their neighbours in inflation; why was not looked into. "
-        "The bars hold it.",
+        "um off the line of their neighbours in inflation. With a local share of the "
+        "volumetric energy, as the product's elements have it, the first comes back "
+        "into line; the table is without. The bars hold it.",
         "",
         *reached(runs),
         *WHERE,
