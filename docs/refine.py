@@ -224,11 +224,10 @@ def page(runs: dict[str, Any]) -> str:
         "far that is; the error bar is at least the distance to the further one. The "
         "third locks, converges slowly, and settles nothing: where it is extrapolated "
         "to is given as a gap from the first, beside its own error bar. None of them "
-        "bounds the answer: the settled value is an estimate, not a bracket. Two "
-        "Taylor-Hood answers of case 1 (mesh 2 at 50 kPa, mesh 3 at 40 kPa) stand 0.2 "
-        "um off the line of their neighbours in inflation. With a local share of the "
-        "volumetric energy, as the product's elements have it, the first comes back "
-        "into line; the table is without. The bars hold it.",
+        "bounds the answer: the settled value is an estimate, not a bracket. The "
+        "Taylor-Hood elements have no local share of the volumetric energy, as the "
+        "product's have, and stand off their line at single pressures; the bars hold "
+        "that.",
         "",
         *reached(runs),
         *WHERE,

@@ -76,6 +76,16 @@ class Kind:
     without: tuple[str, ...] = ()
 
 
+SOFT = Kind(
+    moduli=(1.4e6, 1.0e6),
+    upper=(70e-6, 110e-6),
+    lower=(140e-6, 220e-6),
+    width=(1.4e-3, 2.0e-3),
+    pressure=25e3,
+    unloading=True,
+    seconds=10.0,
+)
+
 KINDS = {
     # Small strains: geometry, supports and moduli show.
     "stiff": Kind(
@@ -87,28 +97,10 @@ KINDS = {
         unloading=False,
     ),
     # Large strains and back again: laws, histories and the supply show.
-    "soft": Kind(
-        moduli=(1.4e6, 1.0e6),
-        upper=(70e-6, 110e-6),
-        lower=(140e-6, 220e-6),
-        width=(1.4e-3, 2.0e-3),
-        pressure=25e3,
-        unloading=True,
-        seconds=10.0,
-        without=("viscoelasticity",),
-    ),
+    "soft": replace(SOFT, without=("viscoelasticity",)),
     # Slowly, and with strips of both batches pulled to tell the moduli: laws at large
     # strain show, what comes with time, and what is not the material's.
-    "strips": Kind(
-        moduli=(1.4e6, 1.0e6),
-        upper=(70e-6, 110e-6),
-        lower=(140e-6, 220e-6),
-        width=(1.4e-3, 2.0e-3),
-        pressure=25e3,
-        unloading=False,
-        seconds=60.0,
-        stretch=2.4,
-    ),
+    "strips": replace(SOFT, unloading=False, seconds=60.0, stretch=2.4),
 }
 
 
@@ -159,7 +151,7 @@ def empty(design: Design, name: str, kind: Kind) -> Curve:
         orientation=0.0,
         design=design,
         load=pressure,
-        time=_times(kind, steps, kind.seconds),
+        time=None if kind.seconds is None else _times(steps, kind.seconds),
         branch=np.array(branch),
         outputs=QUANTITIES,
         values=np.ones((steps, len(QUANTITIES))),
@@ -182,7 +174,7 @@ def strips(kind: Kind) -> list[Curve]:
             orientation=0.0,
             design=Tensile(modulus),
             load=stretch,
-            time=_times(kind, len(stretch), PULL),
+            time=_times(len(stretch), PULL),
             branch=np.array(branch),
             outputs=("stress",),
             values=np.ones(shape),
@@ -194,9 +186,7 @@ def strips(kind: Kind) -> list[Curve]:
     ]
 
 
-def _times(kind: Kind, steps: int, apart: float | None) -> Array | None:
-    if kind.seconds is None or apart is None:
-        return None
+def _times(steps: int, apart: float) -> Array:
     return apart * np.arange(1, steps + 1)
 
 
@@ -374,16 +364,16 @@ def doubt(lab: Lab, noise: float, smooth: float) -> Doubt:
     top = np.array([np.abs(base.values[r.curve == c]).max() for c in r.curve])
     own, drift = independent(lab, noise), smooth * top
     strip = ~of_devices(lab)
-    # Smooth errors as if all of a strip's readings erred alike: they tell no less.
+    # As if smooth errors were the same all along a strip: it tells the least then.
     same = r.curve[strip][:, None] == r.curve[strip]
     errors = np.diag(own[strip] ** 2) + same * np.outer(drift[strip], drift[strip])
     told = columns[strip]
-    share = np.linalg.solve(told @ told.T + errors, told).T  # of r calibrations
+    precise = np.linalg.inv(told @ told.T + errors)
+    share = told.T @ precise  # of r calibrations, by what strips read
     left = np.eye(columns.shape[1]) - share @ told
     tolerances = np.einsum("nr,rs,ns->n", columns, left, columns)
     std, follow = np.sqrt(own**2 + drift**2 + tolerances), columns @ share
     # Of a strip's own reading: its mean and deviation given the others.
-    precise = np.linalg.inv(told @ told.T + errors)
     std[strip] = 1 / np.sqrt(np.diag(precise))
     follow[strip] = np.eye(strip.sum()) - precise / np.diag(precise)[:, None]
     return Doubt(std, follow, strip)
