@@ -3,12 +3,15 @@
 Displacements on the 27 nodes of each hexahedron, the pressure trilinear between its
 corners and one field in each layer (across the interface of two materials it jumps):
 
-    sum over points of  w [What(F) + p (J - 1) - p^2/(2 K)]  -  pressure V,
+    sum over points of
+        w [What(F) + (1 - a) (p (J - 1) - p^2/(2 K)) + a K/2 (J - 1)^2]  -  pressure V,
 
-stationary in both.  Nothing is projected and nothing condensed; they share laws,
-quadrature and the cavity's volume with the product's, and neither its pressure nor its
-tangent nor its path.  Each answer is found by Newton's method from nodes nearby, that
-of the product's element at the same pressure.
+stationary in both.  The local share a is the product's, and is there for the same
+reason: without it single points collapse where walls are bent sharply.  Nothing is
+projected and nothing condensed; they share laws, quadrature and the cavity's volume
+with the product's, and neither its pressure nor its tangent nor its path.  Each answer
+is found by Newton's method from nodes nearby, that of the product's element at the same
+pressure.
 """
 
 from __future__ import annotations
@@ -60,7 +63,11 @@ class TaylorHood:
         self._vertex = numbers.reshape(own.shape)
         self._size = int(numbers.max()) + 1
         weight = self._data.weight / problem.bulk_modulus[:, None]
-        self._soft = np.einsum("eq,qa,qb->eab", weight, self._shape, self._shape)
+        self._joint = 1 - problem.local_share
+        self._local = problem.local_share * problem.bulk_modulus[:, None]
+        self._soft = self._joint * np.einsum(
+            "eq,qa,qb->eab", weight, self._shape, self._shape
+        )
         self._order()
 
     @property
@@ -144,12 +151,15 @@ class TaylorHood:
         mesh, data, ref = self.problem.mesh, self._data, reference()
         f, cof, det = self._deformed(x)
         count = len(f)
-        inside = own[self._vertex] @ self._shape.T  # (e, 27) Pa
+        shape = self._joint * self._shape
+        inside = own[self._vertex] @ shape.T + self._local * (det - 1)  # (e, 27) Pa
         stress, slope, _ = self._known.respond(f.reshape(-1, 9), 1.0, True)
         stress = stress.reshape(f.shape) + inside[..., None, None] * cof
         slope = slope.reshape(count, 27, 3, 3, 3, 3)
         turned = np.einsum("ikm,jln,eqmn->eqijkl", SIGNS, SIGNS, f, optimize=True)
         slope = slope + inside[..., None, None, None, None] * turned
+        of_volume = self._local[..., None, None, None, None] * cof[..., None, None]
+        slope += of_volume * cof[..., None, None, :, :]
         matrix = np.zeros((count, 27, 9, 27))  # node, directions, node
         mixed, force = np.zeros((count, 81, 8)), np.zeros((count, 27, 3))
         for q in range(27):
@@ -162,7 +172,7 @@ class TaylorHood:
             matrix += (half @ gradient.swapaxes(1, 2)).reshape(matrix.shape)
             force += lifted @ stress[:, q].swapaxes(1, 2)
             dilation = (lifted @ cof[:, q].swapaxes(1, 2)).reshape(count, 81)
-            mixed += dilation[..., None] * self._shape[q]
+            mixed += dilation[..., None] * shape[q]
         whole = np.empty((count, 89, 89))
         whole[:, :81, :81] = (
             matrix.reshape(count, 27, 3, 3, 27)
@@ -177,7 +187,7 @@ class TaylorHood:
         faces, tensor = mesh.cavity_faces, face_tensor()
         add_load_stiffness(load, pattern.of_faces, x, faces, tensor, pressure)
         values[self._of_load] += load
-        lack = (data.weight * (det - 1)) @ self._shape
+        lack = (data.weight * (det - 1)) @ shape
         lack -= np.einsum("eab,eb->ea", self._soft, own[self._vertex])
         rows = np.hstack([force.reshape(count, 81), lack])
         free = self._unknown >= 0
