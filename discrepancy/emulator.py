@@ -64,43 +64,47 @@ class Emulator:
         object.__setattr__(self, "_known", take)
         object.__setattr__(self, "_weights", solved)
 
-    def _kernel(self, a: Array, b: Array, slopes: bool = True) -> Array:
+    def _near(self, a: Array, b: Array) -> tuple[Array, Array]:
+        """Covariances (p, q) of values at a with those at b, and (p, q, k) distances
+        by which those with slopes at b differ from them."""
+        length = WIDTH * self.span
+        apart = (a[:, None, :] - b[None, :, :]) / length
+        return np.exp(-0.5 * (apart**2).sum(axis=2)), apart / length
+
+    def _kernel(self, a: Array, b: Array) -> Array:
         """Covariances of values and slopes at a with those at b.
 
         Returns
         -------
-        (p (1 + k), q (1 + k)) array; values first, then slopes by each coordinate;
-        (p, q (1 + k)) where no slopes at a are wanted.
+        (p (1 + k), q (1 + k)) array; values first, then slopes by each coordinate.
         """
-        length = WIDTH * self.span
-        k = len(length)
-        d = (a[:, None, :] - b[None, :, :]) / length
-        base = np.exp(-0.5 * (d**2).sum(axis=2))
-        p, q = base.shape
-        whole = np.empty(((1 + k) * p if slopes else p, (1 + k) * q))
-        whole[:p, :q] = base
-        for j in range(k):
-            whole[:p, (1 + j) * q : (2 + j) * q] = base * d[:, :, j] / length[j]
-        for i in range(k if slopes else 0):
-            rows = slice((1 + i) * p, (2 + i) * p)
-            whole[rows, :q] = -base * d[:, :, i] / length[i]
-            for j in range(k):
-                cross = (i == j) - d[:, :, i] * d[:, :, j]
-                columns = slice((1 + j) * q, (2 + j) * q)
-                whole[rows, columns] = base * cross / (length[i] * length[j])
-        return whole
+        base, apart = self._near(a, b)
+        (p, q), k = base.shape, len(self.span)
+        whole = np.empty((1 + k, p, 1 + k, q))
+        turned = (base[..., None] * apart).transpose(2, 0, 1)
+        whole[0, :, 0] = base
+        whole[0, :, 1:] = turned.transpose(1, 0, 2)
+        whole[1:, :, 0] = -turned
+        own = np.diag((WIDTH * self.span) ** -2)
+        cross = own - apart[..., None] * apart[:, :, None]
+        whole[1:, :, 1:] = (base[..., None, None] * cross).transpose(2, 0, 3, 1)
+        return whole.reshape((1 + k) * p, (1 + k) * q)
 
     def many(self, t: Array) -> Array:
         """(p, n) values at coordinates (p, k)."""
-        rows = self._kernel(t, self.nodes, slopes=False)[:, self._known]
+        rows, apart = self._near(t, self.nodes)
+        if len(self._known) > len(self.nodes):  # slopes, too
+            turned = (rows[..., None] * apart).transpose(0, 2, 1)
+            rows = np.concatenate([rows, turned.reshape(len(t), -1)], axis=1)
+            rows = rows[:, self._known]
         values: Array = self.values[0] + rows @ self._weights
         return values
 
-    def slope(self, t: Array) -> Array:
-        """(n, k) slopes at coordinates (k,)."""
-        rows = self._kernel(t[None, :], self.nodes)[1:, self._known]
-        slopes: Array = (rows @ self._weights).T
-        return slopes
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """(n,) values and (n, k) slopes at coordinates (k,)."""
+        rows = self._kernel(t[None, :], self.nodes)[:, self._known]
+        found = rows @ self._weights
+        return self.values[0] + found[0], found[1:].T
 
     def changes(self) -> Array:
         """(n,) largest changes that are known: at nodes, or by the first one's slopes

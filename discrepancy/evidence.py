@@ -32,6 +32,10 @@ Array = np.ndarray
 SAMPLES, DEFENSIVE, TAIL = 2000, 0.15, 4.0
 """Importance samples, share drawn from the prior, degrees of freedom of the rest."""
 
+SETTLED = 1e-2
+"""Fall of -2 log density in a round of `Target.optimum`, below which it ends: a round
+takes away nine tenths or more of what is left."""
+
 ENOUGH, LIVE, CALLS = 60.0, 400, 40000
 """Effective samples below which nested sampling decides, its live points a dimension,
 and its predictions at most."""
@@ -46,6 +50,19 @@ class Prediction(NamedTuple):
     """
 
     values: Array
+    slopes: Array
+    columns: Array
+
+
+class Seen(NamedTuple):
+    """A prediction beside the readings, turned into the frame of their errors.
+
+    residual : (n,) array.
+    slopes : (n, k) array; of the residual, by the coordinates.
+    columns : (n, r) array; change by one standard deviation of each calibration.
+    """
+
+    residual: Array
     slopes: Array
     columns: Array
 
@@ -200,11 +217,11 @@ class Target:
         self.upper = np.array([p.bounds[1] for p in self.priors])
         self.pull = np.array([float(p.density == NORMAL) for p in self.priors])
 
-    def look(self, t: Array) -> tuple[Array, Array, Array]:
-        """Turned residual (n,), its slopes (n, k), calibration columns (n, r)."""
+    def look(self, t: Array) -> Seen:
+        """What the hypothesis says at coordinates (k,), beside the readings."""
         at = self.hypothesis.predict(t)
         turn, keep = self.frame.turn, self._keep
-        return (
+        return Seen(
             turn @ (self._y - at.values[keep]),
             -(turn @ at.slopes[keep]),
             turn @ at.columns[keep],
@@ -255,16 +272,22 @@ class Target:
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,
-            options={"ftol": 1e-10},
+            options={"ftol": 1e-8},
         )
         best: Array = found.x
         return best
 
-    def coordinates(self, t: Array, eta: Array) -> Array:
-        """Best coordinates at given amplitudes: damped Gauss-Newton within bounds."""
+    def coordinates(
+        self, t: Array, eta: Array, seen: Seen | None = None
+    ) -> tuple[Array, Seen]:
+        """Best coordinates at given amplitudes: damped Gauss-Newton within bounds.
+
+        From t, where `seen` is known already, to where the returned one is.
+        """
+        seen = seen or self.look(t)
         if not len(t):
-            return t
-        r, slopes, columns = self.look(t)
+            return t, seen
+        r, slopes, columns = seen
         covariance = self.covariance(eta, columns)
         damping = 1e-3
 
@@ -286,11 +309,12 @@ class Target:
             step = np.zeros_like(t)
             step[free] = -np.linalg.solve(part, gradient[free])
             ahead = np.clip(t + step, self.lower, self.upper)
-            seen = self.look(ahead)
-            then = cost(seen[0], ahead)
+            there = self.look(ahead)
+            then = cost(there.residual, ahead)
             if then <= now:
                 gain = now - then
-                t, r, slopes, now = ahead, seen[0], seen[1], then
+                t, seen, now = ahead, there, then
+                r, slopes, _ = seen
                 damping = max(damping / 5, 1e-9)
                 if gain < 1e-6:
                     break
@@ -298,21 +322,20 @@ class Target:
                 damping *= 8
                 if damping > 1e8:
                     break
-        return t
+        return t, seen
 
     def optimum(
         self, t: Array, eta: Array, fixed: bool = False
     ) -> tuple[Array, Array, float]:
         """Best coordinates and amplitudes from a start, and -2 log density there."""
-        best = math.inf
+        best, seen = math.inf, self.look(t)
         for _ in range(12):
-            r, _, columns = self.look(t)
-            eta = eta if fixed else self.amplitudes(eta, r, columns)
-            t = self.coordinates(t, eta)
-            r, _, columns = self.look(t)
-            value = self.covariance(eta, columns).log_density(r)
+            if not fixed:
+                eta = self.amplitudes(eta, seen.residual, seen.columns)
+            t, seen = self.coordinates(t, eta, seen)
+            value = self.covariance(eta, seen.columns).log_density(seen.residual)
             cost = -2 * value - 2 * self.hyper.log_prior(eta) + float(self.pull @ t**2)
-            if best - cost < 1e-3:
+            if not len(t) or best - cost < SETTLED:
                 break
             best = cost
         return t, eta, min(best, cost)

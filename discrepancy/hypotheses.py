@@ -70,13 +70,18 @@ class Present:
         return self.curves.nodes
 
     def predict(self, t: Array) -> Prediction:
-        values = self.many(t[None, :])[0]
+        values, slopes = self.curves.at(t)
+        values = values + self.shift
+        values[self._lost(t)] = np.nan
         fields = self.fields.many(t[None, :])[0].reshape(-1, len(FIELDS))
-        columns = self.calibrations.columns(values, fields)
-        return Prediction(values, self.curves.slope(t), columns)
+        return Prediction(values, slopes, self.calibrations.columns(values, fields))
 
     def many(self, t: Array) -> Array:
         values: Array = self.curves.many(t) + self.shift
-        lost = ((t < self.reach[:, 0]) | (t > self.reach[:, 1])).any(axis=1)
-        values[lost] = np.nan
+        values[self._lost(t)] = np.nan
         return values
+
+    def _lost(self, t: Array) -> Array:
+        """Whether coordinates (..., k) are beyond `reach`."""
+        beyond: Array = (t < self.reach[:, 0]) | (t > self.reach[:, 1])
+        return np.asarray(beyond.any(axis=-1))

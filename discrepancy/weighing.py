@@ -46,8 +46,8 @@ def nearest(
     off = np.array([prior.off for prior in hypothesis.priors])
     best, cost = off, math.inf
     for start in (off, *starts):
-        t = target.coordinates(np.clip(start, target.lower, target.upper), eta)
-        r, _, columns = target.look(t)
+        start = np.clip(start, target.lower, target.upper)
+        t, (r, _, columns) = target.coordinates(start, eta)
         covariance = target.covariance(eta, columns)
         value = float(covariance.quadratic(r[:, None])[0] + target.pull @ t**2)
         if value < cost:

@@ -43,8 +43,8 @@ class Rehearsal(Study):
             slopes = np.full((len(self.cells), len(t)), np.nan)
             return Node(nowhere, slopes, self._nodes[(), ()].fields, ("not known",))
         fields = present.fields.many(t[None, :])[0].reshape(len(self.cells), -1)
-        values = present.many(t[None, :])[0] - present.shift
-        return Node(values, present.curves.slope(t), fields, ())
+        at = present.predict(t)
+        return Node(at.values - present.shift, at.slopes, fields, ())
 
     def solve(
         self, wanted: Sequence[tuple[tuple[str, ...], Array]], what: str
