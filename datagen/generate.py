@@ -280,7 +280,7 @@ def solve_all(
         session.take(known)
         try:
             rows = session.run(
-                tasks, solve, lambda: _pool(workers, scheduler, executor)
+                tasks, solve, lambda: pool_of(workers, scheduler, executor)
             )
             data = Dataset.from_rows(
                 rows,
@@ -323,7 +323,8 @@ def _finished(out: Path, manifest: Manifest) -> Dataset:
     return data
 
 
-def _pool(workers: int, scheduler: str | None, executor: Executor | None) -> Pool:
+def pool_of(workers: int, scheduler: str | None, executor: Executor | None) -> Pool:
+    """Where rows are solved; arguments as in `generate`."""
     if scheduler is not None:
         return DaskPool(scheduler)
     if executor is not None:

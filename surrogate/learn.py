@@ -27,9 +27,10 @@ from datagen.atomic import reason, sync, write_text
 from datagen.dataset import Dataset
 from datagen.device import Design
 from datagen.errors import FileError, InputError
-from datagen.generate import Progress
+from datagen.generate import Progress, pool_of
+from datagen.pool import Pool, solve_tasks
 from datagen.space import Space
-from datagen.worker import Solve, run_task
+from datagen.worker import Solve
 
 from .change import SETTINGS, ChangeSettings, fit_corrected, nested, tuned_names
 from .corrected import Corrected
@@ -37,7 +38,7 @@ from .ensemble import Ensemble
 from .equivalent import Equivalent, fit_equivalent
 from .increment import (
     Fits,
-    Plan,
+    PairTask,
     fem_fits,
     increment_tasks,
     mesh_of,
@@ -61,8 +62,9 @@ FEWEST_PATHS = 16
 MOST_PATHS = 400
 """What a time budget is turned into at most."""
 
-SOLVING_SHARE = 0.8
-"""Of a time budget; the rest is for training and for paths longer than the median."""
+SOLVING_SHARE = 0.7
+"""Of a time budget; the rest is for timing a path, for those that take longer than the
+median, and for training."""
 
 Report = Callable[[str, int, int, float | None], None]
 """report(stage, done, total, seconds left or None)."""
@@ -143,7 +145,7 @@ def learn(
     paths : int, optional
         How many are solved; 60 by default.
     minutes : float, optional
-        Time budget, instead of `paths`: one path is timed first.
+        Time budget, instead of `paths`: a path for each worker is timed first.
     seed : int
     near : sequence of Design
         Designs for which the answer is wanted most.
@@ -194,7 +196,9 @@ def learn(
             if count is None:
                 assert minutes is not None
                 first = plan(dataset, space, FEWEST_PATHS, seed, near, fits)
-                seconds = _one_path(first, dataset, level, effects_dir, means.solve)
+                tasks = increment_tasks(first, dataset, level, effects_dir)
+                pool = pool_of(workers, scheduler, executor)
+                seconds = _one_path(tasks, pool, max(workers, 1), means.solve)
                 count = _affordable(minutes, seconds, max(workers, 1))
             begun = begun | {"count": count}
             write_text(work / PLAN, json.dumps(begun, indent=1) + "\n")
@@ -430,16 +434,29 @@ def _refusal(existing: Path) -> InputError:
 
 
 def _one_path(
-    planned: Plan, dataset: Dataset, level: str, effects_dir: Path | None, solve: Solve
+    tasks: Sequence[PairTask], pool: Pool, workers: int, solve: Solve
 ) -> float:
-    """Seconds of the planned path with the median number of balloons."""
-    tasks = increment_tasks(planned, dataset, level, effects_dir)
-    x, y = (planned.space.names.index(f"divisions_{axis}") for axis in "xy")
-    balloons = planned.inputs[:, x] * planned.inputs[:, y]
-    middle = tasks[int(np.argsort(balloons, kind="stable")[len(tasks) // 2])]
-    began = time.perf_counter()
-    run_task(solve, middle)
-    return time.perf_counter() - began
+    """Seconds of a path with the median number of balloons, as the increment will be.
+
+    One for each worker at a time: on one machine they slow each other down.
+    """
+
+    def balloons(task: PairTask) -> float:
+        x, y = (task.variables.index(f"divisions_{axis}") for axis in "xy")
+        return task.inputs[x] * task.inputs[y]
+
+    ordered = sorted(tasks, key=balloons)
+    middle = ordered[len(ordered) // 2 :] + ordered[: len(ordered) // 2]
+    chosen = [middle[i % len(middle)] for i in range(workers)]
+    # Their first load steps alone, before the clock: workers have to start.
+    short = [replace(task, pressure=task.pressure[:1]) for task in chosen]
+    try:
+        solve_tasks(short, pool, solve, lambda task, row: None)
+        began = time.perf_counter()
+        solve_tasks(chosen, pool, solve, lambda task, row: None)
+        return time.perf_counter() - began
+    finally:
+        pool.close(now=True)
 
 
 def _affordable(minutes: float, seconds: float, workers: int) -> int:

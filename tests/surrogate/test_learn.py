@@ -8,8 +8,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -18,12 +21,15 @@ from datagen.dataset import Dataset
 from datagen.device import named_device
 from datagen.errors import InputError
 from datagen.parts import parts_folder
+from datagen.pool import GivenExecutor
 from datagen.response import Path as LoadPath
+from datagen.worker import Row, Task
 from service.cli import main
 from surrogate import learn as learning
 from surrogate.corrected import Corrected
 from surrogate.ensemble import Ensemble
-from surrogate.learn import INCREMENT, PLAN, learn
+from surrogate.increment import PairTask
+from surrogate.learn import INCREMENT, PLAN, _one_path, learn
 from tests.datagen.fake_solver import Here
 from tests.discrepancy.versions import version
 from tests.surrogate.learn_process import PATHS, SEED, run
@@ -302,9 +308,34 @@ def test_time_budget(
     out = tmp_path / "m"
     with pytest.raises(KeyboardInterrupt):
         learn(base, dataset, ("tilt",), {}, out, report=stop, **settings)  # type: ignore[arg-type]
-    assert stopped[0] == ("increment", 0, 20)  # 0.8 x 300 s / 12 s
+    assert stopped[0] == ("increment", 0, 17)  # 0.7 x 300 s / 12 s
     model = learn(base, dataset, ("tilt",), {}, out, resume=True, **settings)  # type: ignore[arg-type]
-    assert model.description["paths"] == 20
+    assert model.description["paths"] == 17
     monkeypatch.setattr(learning, "_one_path", lambda *_: 60.0)
-    with pytest.raises(InputError, match=r"at least 20\.0: a path takes 60 s"):
+    with pytest.raises(InputError, match=r"at least 22\.9: a path takes 60 s"):
         learn(base, dataset, ("tilt",), {}, tmp_path / "n", **settings)  # type: ignore[arg-type]
+
+
+def test_a_path_is_timed_beside_others_once_the_workers_run() -> None:
+    """Two workers, two paths of the middle at once; their first steps come before."""
+    names = ("divisions_x", "divisions_y")
+    tasks = [
+        PairTask(i, names, (float(x), 1.0), (), "draft", 1e5, pressure=(1e3, 1e5))
+        for i, x in enumerate((3, 1, 6, 2))
+    ]
+    seen: list[tuple[int, int]] = []
+    together = Barrier(2, timeout=10)
+
+    def solve(task: Task) -> Row:
+        assert isinstance(task, PairTask)
+        seen.append((task.row, len(task.pressure)))
+        together.wait()
+        time.sleep(0.05)
+        nothing = np.zeros(0)
+        return Row(task.row, (), nothing, np.zeros((0, 0)), nothing, "completed", 0, "")
+
+    with ThreadPoolExecutor(2) as executor:
+        seconds = _one_path(tasks, GivenExecutor(executor, 2), 2, solve)
+    assert seconds > 0.04
+    assert sorted(seen[:2]) == [(0, 1), (2, 1)]
+    assert sorted(seen[2:]) == [(0, 2), (2, 2)]
