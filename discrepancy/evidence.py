@@ -410,10 +410,9 @@ def fit(
     nodes = getattr(hypothesis, "nodes", None)
     if nodes is not None:  # the best of those that were solved, too
         starts = [*starts, target.best_of(nodes, begin)]
-    found = [
-        target.optimum(np.clip(t, target.lower, target.upper), begin, fixed)
-        for t in (off, *starts)
-    ]
+    inside = (np.clip(t, target.lower, target.upper) for t in (off, *starts))
+    once = {tuple(t): t for t in inside}  # the best of the solved ones may be off
+    found = [target.optimum(t, begin, fixed) for t in once.values()]
     t, eta, misfit = min(found, key=lambda one: one[2])
     for _ in range(3):
         best = _conclude(target, readings, keep, hypothesis, t, eta, misfit)
