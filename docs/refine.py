@@ -56,8 +56,8 @@ FAMILIES = (*SETTLING, "displacement")
 MESHES = (
     MeshLevel("1", 6, 4, 4, 3, 3, 1, 2, 1, 0.70, 0.70, 0.80, 0.70),
     MeshLevel("2", 9, 6, 7, 4, 5, 1, 3, 2, 0.35, 0.35, 0.60, 0.35),
-    MeshLevel("3", 12, 8, 10, 5, 7, 1, 4, 2, 0.17, 0.17, 0.45, 0.17),
-    MeshLevel("4", 16, 11, 13, 7, 9, 1, 5, 3, 0.085, 0.085, 0.34, 0.085),
+    MeshLevel("3", 12, 8, 10, 5, 7, 1, 4, 3, 0.17, 0.17, 0.45, 0.17),
+    MeshLevel("4", 16, 11, 13, 7, 9, 1, 5, 4, 0.085, 0.085, 0.34, 0.085),
 )
 """Each finer everywhere, and twice as fine at the edges of balloon and clamp."""
 
