@@ -151,7 +151,7 @@ def _listed(path: Path) -> dict[str, list[Path]]:
 
     try:
         problem = yaml.safe_load(read_bytes(path))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date that is none
         line = " ".join(str(error).split())
         raise FileError(path, f"not a YAML file: {line}") from error
     listed = problem

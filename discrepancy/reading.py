@@ -56,6 +56,10 @@ SMALLEST_TOP = {"pressure": 500.0, "inflation": 1e-6}
 """Pa and m.  A file whose largest value is smaller was hardly written in our unit."""
 
 
+PROBLEM_FILES = (".yaml", ".yml")
+"""Endings of PEtab's problem files, which name the tables."""
+
+
 def read_measurements(
     path: str | Path, tolerances: Tolerances | None = None
 ) -> Measurements:
@@ -82,7 +86,7 @@ def read_measurements(
         the others.
     """
     path = Path(path)
-    if path.is_dir() or path.suffix.lower() in (".yaml", ".yml"):
+    if path.is_dir() or path.suffix.lower() in PROBLEM_FILES:
         table, data = petab_table(path)
     else:
         data = read_bytes(path)

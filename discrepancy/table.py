@@ -135,6 +135,8 @@ def read_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise FileError(path, f"cannot be read: {reason(error)}") from error
+    except ValueError as error:  # a name with a zero byte
+        raise FileError(repr(str(path)), f"cannot be read: {error}") from error
 
 
 def decode(path: Path, data: bytes) -> tuple[str, list[str]]:

@@ -152,7 +152,10 @@ def stand_in_errors() -> Array:
     for pair in by_row.values():
         if len(pair) == 2 and pair[True]["targets"] == pair[False]["targets"]:
             now, before = (_values(pair[current])[:, tip] for current in (True, False))
-            found.append(np.abs(now - before).max() / np.abs(now).max())
+            both = np.isfinite(now) & np.isfinite(before)
+            if both.any():
+                apart = np.abs(now - before)[both].max()
+                found.append(apart / np.abs(now[both]).max())
     return np.array(found)
 
 

@@ -17,10 +17,9 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import JSONResponse, Response
 from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from datagen.errors import EffectError, FileError, InputError, PbaError
 from datagen.units import DESIGN, PRESSURE
@@ -34,12 +33,10 @@ from .discrepancy_routes import router as discrepancy_router
 from .jobs import JobNotFound, JobStore, Kind, TooManyJobs, describe
 from .measurements import MeasurementsNotFound
 from .model_routes import router as model_router
+from .protocol import BodyLimit, HeadAsGet, OwnPagesAlone, methods_of
 from .routes import Service, router
 from .tasks import fem_version
 from .workers import WorkerDied
-
-MAX_BODY = 8 * 2**20
-"""Bytes that the body of a request may have."""
 
 HTTP_STATUS: tuple[tuple[type[PbaError], int], ...] = (
     (InputError, 422),
@@ -68,6 +65,9 @@ KINDS: Mapping[str, Kind] = {
 
 FURTHER_WORDS = {"case": "1, 2, 3 or 4"}
 """What is allowed, in better words than pydantic's."""
+
+LONGEST = 2000
+"""Characters of an error's parts."""
 
 PAGE = Path(__file__).parent / "page"
 
@@ -199,7 +199,8 @@ def create_app(
     app.include_router(model_router)
     _add_error_handlers(app)
     _add_page(app)
-    app.add_middleware(BodyLimit)
+    for middleware in (BodyLimit, HeadAsGet, OwnPagesAlone):
+        app.add_middleware(middleware)
     return app
 
 
@@ -219,7 +220,8 @@ def status_of(error: PbaError) -> int:
 def _add_error_handlers(app: FastAPI) -> None:
     def answer(status: int, **error: Any) -> JSONResponse:
         headers = {"Retry-After": "5"} if status == 503 else None
-        return JSONResponse({"error": error}, status, headers)
+        told = {name: _bounded(one) for name, one in error.items()}
+        return JSONResponse({"error": told}, status, headers)
 
     @app.exception_handler(PbaError)
     async def of_the_project(_request: Request, error: PbaError) -> JSONResponse:
@@ -227,17 +229,22 @@ def _add_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def of_the_body(
-        _request: Request, error: RequestValidationError
+        request: Request, error: RequestValidationError
     ) -> JSONResponse:
         first = error.errors()[0]
         if first["type"] == "json_invalid":
             reason = first.get("ctx", {}).get("error", "")
             message = f"the body is not JSON: {reason} at character {first['loc'][-1]}"
             return answer(400, type="json", message=message)
+        if isinstance(first.get("input"), bytes):
+            sent = request.headers.get("content-type", "no type")
+            allowed = "a JSON object, sent with Content-Type: application/json"
+            message = f"body: sent as {sent[:60]}; allowed: {allowed}"
+            return answer(415, type="media_type", message=message)
         return answer(422, **describe(input_error(first)))
 
     @app.exception_handler(HTTPException)
-    async def of_the_protocol(_request: Request, error: HTTPException) -> JSONResponse:
+    async def of_the_protocol(request: Request, error: HTTPException) -> JSONResponse:
         words = {404: "not_found", 405: "method", 413: "too_large"}
         response = answer(
             error.status_code,
@@ -245,6 +252,8 @@ def _add_error_handlers(app: FastAPI) -> None:
             message=str(error.detail),
         )
         response.headers.update(error.headers or {})
+        if error.status_code == 405:
+            response.headers["Allow"] = methods_of(app, request.url.path)
         return response
 
     @app.exception_handler(Exception)
@@ -265,15 +274,15 @@ def input_error(problem: Mapping[str, Any]) -> InputError:
     """
     location = [part for part in problem["loc"] if part not in ("body", "query")]
     value = _shown(problem.get("input"))
-    if problem["type"] == "unknown_field" and not location:
-        return InputError("body", problem["ctx"]["name"], problem["ctx"]["allowed"])
+    if problem["type"] == "unknown_field":
+        found = _shown(problem["ctx"]["name"])
+        where = _name(location) if location else "body"
+        return InputError(where, found, problem["ctx"]["allowed"])
     if not location:
         return InputError(
             "body", value, "a JSON object, sent with Content-Type: application/json"
         )
     name, field = str(location[-1]), _name(location)
-    if problem["type"] == "unknown_field":
-        return InputError(field, problem["ctx"]["name"], problem["ctx"]["allowed"])
     if problem["type"] == "missing":
         return InputError(field, MISSING, "a value; this field is needed")
     if name in DESIGN:
@@ -284,6 +293,17 @@ def input_error(problem: Mapping[str, Any]) -> InputError:
         return InputError(field, value, pressure_words(), PRESSURE.unit)
     words = str(problem["msg"]).removeprefix("Input should be ")
     return InputError(field, value, FURTHER_WORDS.get(name, words))
+
+
+def _bounded(value: object) -> object:
+    """Part of an error that can be sent, whatever the client sent.
+
+    JSON may hold halves of a character, which no answer can.
+    """
+    if not isinstance(value, str):
+        return value
+    value = value.encode(errors="backslashreplace").decode()
+    return value if len(value) <= LONGEST else f"{value[:LONGEST]}..."
 
 
 def _shown(value: object) -> object:
@@ -305,39 +325,23 @@ def _name(location: Sequence[object]) -> str:
 def _add_page(app: FastAPI) -> None:
     plotly = Path(str(resources.files("plotly"))) / "package_data" / "plotly.min.js"
 
+    static = StaticFiles(directory=PAGE)
+
+    def sent(file: Path, request: Request) -> Response:
+        """A file, or that the client has it already."""
+        return static.file_response(file, file.stat(), request.scope)
+
     @app.get("/", include_in_schema=False)
-    async def page() -> FileResponse:
-        headers = {
-            "Content-Security-Policy": CONTENT_SECURITY,
-            "Cache-Control": "no-cache",
-        }
-        return FileResponse(PAGE / "index.html", headers=headers)
+    def page(request: Request) -> Response:
+        response = sent(PAGE / "index.html", request)
+        response.headers["Content-Security-Policy"] = CONTENT_SECURITY
+        response.headers["Cache-Control"] = "no-cache"
+        return response
 
     @app.get("/static/plotly.min.js", include_in_schema=False)
-    async def plotly_script() -> FileResponse:
-        headers = {"Cache-Control": "public, max-age=86400"}
-        return FileResponse(plotly, headers=headers, media_type="text/javascript")
+    def plotly_script(request: Request) -> Response:
+        response = sent(plotly, request)
+        response.headers["Cache-Control"] = "public, max-age=86400"
+        return response
 
-    app.mount("/static", StaticFiles(directory=PAGE), name="static")
-
-
-class BodyLimit:
-    """Middleware that stops reading a body past `MAX_BODY` bytes with a 413."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        seen = 0
-
-        async def limited() -> Message:
-            nonlocal seen
-            message = await receive()
-            seen += len(message.get("body", b""))
-            if seen > MAX_BODY:
-                raise HTTPException(413, f"the body is longer than {MAX_BODY} bytes")
-            return message
-
-        return await self.app(scope, limited, send)
+    app.mount("/static", static, name="static")

@@ -87,7 +87,8 @@ async def _sent(request: Request) -> tuple[str, bytes]:
     InputError
         When a form has not exactly one file.
     """
-    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
+    kind = request.headers.get("content-type", "").lower()
+    if not kind.startswith("multipart/form-data"):
         return NAMELESS, await request.body()
     async with request.form() as form:
         files = [one for _, one in form.multi_items() if not isinstance(one, str)]
@@ -128,6 +129,8 @@ def payload_of(body: MeasuredIn | AdoptionIn, service: Service) -> dict[str, Any
         body.camera_tolerance_pct,
     )
     asked = body.measurements
+    if not isinstance(asked, str) and len(set(asked)) < len(asked):
+        raise InputError("measurements", ", ".join(asked), "every id once")
     files = files_of(service)
     return {
         "files": [

@@ -20,7 +20,7 @@ from datagen.atomic import TEMPORARY, reason
 from datagen.errors import FileError, InputError, PbaError
 from discrepancy.columns import NUMBERS
 from discrepancy.measurement import Measurements, Tolerances
-from discrepancy.reading import read_measurements
+from discrepancy.reading import PROBLEM_FILES, read_measurements
 from discrepancy.table import MeasurementError, short
 
 LENGTH = 16
@@ -62,6 +62,10 @@ class MeasurementFiles:
         """
         if not NAME.fullmatch(name):
             allowed = "letters, digits, blanks and ._()+-, at most 100"
+            raise InputError("name", name, allowed)
+        if Path(name).suffix.lower() in PROBLEM_FILES:
+            # It names other files, and those here are nobody's to read.
+            allowed = "a table; PEtab problems are read by the commands, not sent"
             raise InputError("name", name, allowed)
         identity = hashlib.sha256(content).hexdigest()[:LENGTH]
         if (self.folder / identity).is_dir():

@@ -113,7 +113,7 @@ def errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"model": ErrorOut} for status in statuses}
 
 
-BODY = errors(400, 413)  # of any request with a body: no JSON, too long
+BODY = errors(400, 413, 415)  # of any request with a body: no JSON, too long
 router = APIRouter(responses=errors(422, 500))
 
 

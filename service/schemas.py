@@ -49,7 +49,11 @@ class Strict(BaseModel):
                     raise PydanticCustomError(
                         "unknown_field",
                         "unknown name {name}",
-                        {"name": name, "allowed": ", ".join(cls.model_fields)},
+                        {
+                            # JSON may hold halves of a character; pydantic may not.
+                            "name": name.encode(errors="backslashreplace").decode(),
+                            "allowed": ", ".join(cls.model_fields),
+                        },
                     )
         return body
 
@@ -247,7 +251,7 @@ class SurrogateIn(Strict):
     """How long the surrogate of a version may take: minutes, or a number of paths."""
 
     minutes: float | None = Field(default=None, ge=0.1, le=10_000)
-    paths: Whole | None = Field(default=None, ge=FEWEST_PATHS, le=100_000)
+    paths: Annotated[Whole, Field(ge=FEWEST_PATHS, le=100_000)] | None = None
     seed: Whole = Field(default=0, ge=0, le=2**31, strict=True)
     restart: bool = Field(
         default=False, description="discard what was begun or is there"

@@ -320,3 +320,20 @@ def test_missing_columns_are_named(tmp_path: Path) -> None:
         MeasurementError, match=r"missing 2 columns: device, cavity_height_um$"
     ):
         read_petab(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("measurement_files: 2020-99-99\n", "not a YAML file"),
+        (
+            'measurement_files: ["a\\0b"]\ncondition_files: [c]\nobservable_files: [o]',
+            "null byte",
+        ),
+    ],
+)
+def test_a_problem_file_that_is_none(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "problem.yaml"
+    path.write_text(text)
+    with pytest.raises(FileError, match=told):
+        read_measurements(path)
