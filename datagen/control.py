@@ -48,7 +48,7 @@ class Options:
     largest_growth : float
         Of one step over the one before.
     max_steps : int
-        Steps of one path.
+        Steps of one path, and one more for each load step.
     turned : float
         First step after the pressure has turned, with memory, over the one before.
     fading_parts : int

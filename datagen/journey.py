@@ -71,7 +71,7 @@ class Journey:
             return False
         follower.head_for(target)
         while True:
-            if follower.counters.steps >= follower.options.max_steps:
+            if follower.counters.steps >= follower.options.max_steps + leg.step:
                 words = f"after {follower.counters.steps} steps"
                 return self._end("step_limit", words)
             try:

@@ -20,8 +20,6 @@ read: the model is the device's own.
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,6 +33,7 @@ from .table import (
     Table,
     decimal_sign,
     decode,
+    lines_of,
     read_bytes,
     short,
 )
@@ -151,7 +150,8 @@ def _listed(path: Path) -> dict[str, list[Path]]:
 
     try:
         problem = yaml.safe_load(read_bytes(path))
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date that is none
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        # Besides YAML's own: a date that is none, brackets without end.
         line = " ".join(str(error).split())
         raise FileError(path, f"not a YAML file: {line}") from error
     listed = problem
@@ -174,18 +174,21 @@ def _listed(path: Path) -> dict[str, list[Path]]:
 
 def _lines(file: Path, text: str) -> list[Line]:
     """Lines of one table, by heading."""
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter="\t")
     headings: list[str] = []
     lines = []
-    for fields in reader:
-        stripped = [one.strip() for one in fields]
-        if not any(stripped):
-            continue
+    for number, fields in lines_of(file, text, "\t"):
+        place = f"{file}:{number}"
         if not headings:
-            headings = stripped
+            headings = fields
+            twice = [one for one in headings if one and headings.count(one) > 1]
+            if twice:
+                raise FileError(place, f"column {twice[0]!r} stands there twice")
             continue
-        own = {h: t for h, t in zip(headings, stripped, strict=False) if h and t}
-        lines.append((f"{file}:{reader.line_num}", own))
+        if any(fields[len(headings) :]):
+            words = f"{len(fields)} fields, but {len(headings)} headings"
+            raise FileError(place, words)
+        own = {h: t for h, t in zip(headings, fields, strict=False) if h and t}
+        lines.append((place, own))
     return lines
 
 
@@ -233,6 +236,8 @@ def _conditions(
             one, factor = found
             if factors.setdefault(one, factor) != factor:
                 complaints.add(place, f"{heading}: stands in two units")
+            if long and one in setting.texts:
+                complaints.add(place, f"{heading}: is set already for {name!r}")
             setting.texts[one], setting.places[one] = text, place
     return conditions
 
@@ -273,10 +278,12 @@ def _observables(
     lines: list[Line], complaints: Complaints, warnings: list[str]
 ) -> dict[str, _Observable]:
     """Observables that are one quantity each, with normal noise."""
-    found = {}
+    found: dict[str, _Observable] = {}
     for line in lines:
         place, fields = line
         name = _required(line, "observableId", complaints)
+        if name in found:
+            complaints.add(place, f"observableId: {name!r} is there already")
         formula = _required(line, "observableFormula", complaints)
         for heading, allowed in (
             ("observableTransformation", "lin"),
@@ -411,6 +418,6 @@ def _rows(
     if clocked:
         factors.setdefault("time", 1.0)
         for key in sequence:
-            rows[key].texts["time"] = repr(times[key])
+            rows[key].texts["time"] = f"{times[key]!r}".removesuffix(".0")
             rows[key].places.pop("time", None)
     return [rows[key] for key in sequence]

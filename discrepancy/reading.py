@@ -401,6 +401,9 @@ def _find_unloading(rows: list[Reading]) -> Reading | None:
     steps = np.diff(size)
     if any("branch" in reading.row.texts for reading in rows):
         return None
+    loads = [reading.load for reading in rows]
+    if min(loads) < 0 < max(loads):
+        return None  # into vacuum is another loading, not the way back
     # One row that goes back may as well be one too many.
     if not 0 < top < len(rows) - 2 or (steps[:top] <= 0).any():
         return None

@@ -13,6 +13,8 @@ from .columns import DESIGN_NAMES, NUMBERS, QUANTITY_NAMES, refusal
 from .measurement import LOADING, MEASURED, SPECIMENS, UNLOADING, folded
 from .table import MISSING, NUMBER, Complaints, Row, Table
 
+LOADS = ("pressure", "stretch")
+
 WALL = 0.2e-3
 """m.  Wall of an undivided device, which has none: any will do."""
 
@@ -70,7 +72,8 @@ def check_columns(table: Table, complaints: Complaints) -> None:
             )
     if missing:
         noun = "column" if len(missing) == 1 else f"{len(missing)} columns"
-        complaints.add(table.place, f"missing {noun}: {', '.join(missing)}")
+        unknown = f" ({'; '.join(table.unknown[:3])})" if table.unknown else ""
+        complaints.add(table.place, f"missing {noun}: {', '.join(missing)}{unknown}")
 
 
 def _word(
@@ -151,6 +154,8 @@ def read_row(
     for name, text in row.texts.items():
         if name not in NUMBERS or (name in DESIGN_NAMES and name not in used):
             continue
+        if name in LOADS and name not in used and text.lower() in MISSING:
+            continue
         reading = name in QUANTITY_NAMES or name.endswith("_std")
         if reading and text.lower() in MISSING:
             unread.setdefault(text, []).append(row.where(name))
@@ -158,8 +163,6 @@ def read_row(
         value = _number(row, name, text, table, complaints)
         if value is not None:
             numbers[name] = value
-    if specimen == "actuator" and (wall := _wall(row, table, numbers, complaints)):
-        numbers["wall"] = wall
     for group in needed(specimen):
         if not any(name in row.texts for name in group):
             names = " or ".join(NUMBERS[name].name for name in group)
@@ -168,6 +171,8 @@ def read_row(
                 f"{names}: nothing is not allowed; allowed: a number in every row "
                 f"of specimen {specimen}",
             )
+    if specimen == "actuator" and (wall := _wall(row, table, numbers, complaints)):
+        numbers["wall"] = wall
     for name in MEASURED["actuator"] + MEASURED["tensile"]:
         for one in (name, f"{name}_std"):
             if one in numbers and name not in MEASURED[specimen]:

@@ -37,6 +37,9 @@ Array = np.ndarray
 GUESS = 0.005
 """Noise where none is stated and nothing was repeated, share of a curve's maximum."""
 
+SMALLEST = 1e-12
+"""SI.  Of a curve's largest value, where neither it nor the baseline moves at all."""
+
 FIRST_NORMAL, FIRST_EVEN = 1.0, 0.4
 """Distance of an effect's first solve from off: a prior standard deviation, a part of
 the range."""
@@ -148,25 +151,28 @@ class Study:
         for c in lost:
             curve = self.measurements.curves[c]
             count = sum(1 for i in np.flatnonzero(~there) if self.cells[i][0] == c)
+            ended = next(one for one in (fine[c], fast[c]) if one.status != "completed")
+            why = f" ({ended.message})" if ended.message else ""
             self.warnings.append(
                 f"device {curve.device}, run {curve.run}: {count} readings are past "
-                "the end of the baseline's path and are left out"
+                f"the end of the baseline's path{why} and are left out"
             )
         if not there.any():
             raise InputError(
                 "pressure_kPa",
                 "all of them",
-                "pressures that the baseline reaches: its path ends before the first",
+                f"pressures that the baseline reaches: of {self.warnings[0]}",
             )
         self.cells = [one for one, ok in zip(self.cells, there, strict=True) if ok]
         self.shift = (values - quick)[there]
-        self.readings = self._readings()
+        self.readings = self._readings(values[there])
         self.calibrations = Calibrations.of(self.measurements, self.cells)
         off: tuple[str, ...] = ()
         self._nodes[off, ()] = self._node(off, np.zeros(0), fast)
         self.base = self._nodes[off, ()].values + self.shift
 
-    def _readings(self) -> Readings:
+    def _readings(self, baseline: Array) -> Readings:
+        """The readings (n,) beside what the baseline says of them, SI."""
         curves = self.measurements.curves
         kinds: dict[tuple[str, str], int] = {}
         groups, curve_of, places, ways, noise, stated, devices, scales, values = (
@@ -185,11 +191,15 @@ class Study:
             for tensile in (False, True)
         }
         names = list(self.measurements.devices)
+        # A curve that never moves errs as one does that the baseline expects.
+        flat: dict[tuple[int, int], float] = {}
+        for (c, _, m), value in zip(self.cells, np.abs(baseline), strict=True):
+            flat[c, m] = max(flat.get((c, m), SMALLEST), float(value))
         size: dict[tuple[int, int], float] = {}
         for c, _, m in self.cells:
             if (c, m) not in size:
                 column = np.abs(curves[c].values[:, m])
-                size[c, m] = float(np.nanmax(column)) or 1.0
+                size[c, m] = float(np.nanmax(column)) or flat[c, m]
         for c, s, m in self.cells:
             curve = curves[c]
             kind = (curve.specimen, curve.outputs[m])

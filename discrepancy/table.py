@@ -24,7 +24,10 @@ SEPARATORS = (",", ";", "\t")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 """A plain number with a decimal point or a decimal comma."""
 
-MISSING = {"nan", "na", "n/a", "-", "none", "null"}
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+"""A number whose comma may part thousands as well as be a decimal one."""
+
+MISSING = {"nan", "na", "n/a", "#n/a", "-", "none", "null"}
 """Words that programs write for a value that is not there, in lower case."""
 
 
@@ -119,6 +122,8 @@ class Table:
     decimal : str
         Decimal sign of all numbers.
     warnings : tuple of str
+    unknown : tuple of str
+        Headings that are not known, with what they may have been meant for.
     """
 
     path: Path
@@ -127,6 +132,7 @@ class Table:
     rows: tuple[Row, ...]
     decimal: str
     warnings: tuple[str, ...]
+    unknown: tuple[str, ...] = ()
 
 
 def read_bytes(path: Path) -> bytes:
@@ -174,6 +180,14 @@ def lines_of(path: Path, text: str, separator: str) -> Iterator[tuple[int, list[
         raise FileError(f"{path}:{before + 1}", f"not CSV: {error}") from error
 
 
+def _split(path: Path, number: int, line: str, separator: str) -> list[str]:
+    """Fields of one line."""
+    try:
+        return [one.strip() for one in next(csv.reader([line], delimiter=separator))]
+    except csv.Error as error:
+        raise FileError(f"{path}:{number}", f"not CSV: {error}") from error
+
+
 def _known(heading: str) -> bool:
     try:
         return column_of(heading) is not None
@@ -183,14 +197,15 @@ def _known(heading: str) -> bool:
 
 def _headings(path: Path, text: str) -> tuple[str, int, list[str]]:
     """Separator, line number and headings: the first line that is no comment."""
-    for number, line in enumerate(text.splitlines(), 1):
+    # Not by `splitlines`, which knows ends of lines that CSV does not.
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
         if re.fullmatch(r"sep=.?", line.strip(), re.IGNORECASE):
             continue  # a spreadsheet's own note on the separator
-        if not line.strip(" \t,;") or line.lstrip().startswith("#"):
+        if not line.strip(" \t,;") or line.lstrip(' \t"').startswith("#"):
             continue
-        split = {s: next(csv.reader([line], delimiter=s)) for s in SEPARATORS}
+        split = {s: _split(path, number, line, s) for s in SEPARATORS}
         best = max(SEPARATORS, key=lambda s: sum(map(_known, split[s])))
-        return best, number, [one.strip() for one in split[best]]
+        return best, number, split[best]
     raise FileError(path, "is empty; allowed: a line of headings and readings below")
 
 
@@ -212,6 +227,7 @@ def read_table(path: Path, data: bytes) -> Table:
     fields: list[str | None] = []
     factors: dict[str, float] = {}
     first: dict[str, str] = {}
+    unknown: list[str] = []
     for heading in headings:
         fields.append(None)
         try:
@@ -221,7 +237,8 @@ def read_table(path: Path, data: bytes) -> Table:
             continue
         if found is None:
             if heading:
-                warnings.append(_unknown(path, top, heading))
+                unknown.append(_unknown(heading))
+                warnings.append(f"{path.name}:{top}: {unknown[-1]}")
             continue
         name, factor = found
         if name in factors:
@@ -238,6 +255,7 @@ def read_table(path: Path, data: bytes) -> Table:
             )
     complaints.settle()
     rows = []
+    cut: list[tuple[str, str]] = []
     for number, texts in lines_of(path, text, separator):
         if number <= top:
             continue
@@ -251,6 +269,9 @@ def read_table(path: Path, data: bytes) -> Table:
                 f"{beyond[0]!r}" + (hint if separator == "," else ""),
             )
             continue
+        lacking = [one for one in headings[len(texts) :] if one]
+        if lacking:
+            cut.append((here, f"{len(texts)} fields, but {len(headings)} headings"))
         own = {n: t for n, t in zip(fields, texts, strict=False) if n and t}
         for heading, known, one in zip(headings, fields, texts, strict=False):
             if known is None and not heading and one:
@@ -259,15 +280,22 @@ def read_table(path: Path, data: bytes) -> Table:
     complaints.settle()
     if not rows:
         raise FileError(place, "no readings below the headings")
+    if cut:
+        more = f", and {len(cut) - 1} lines more" if len(cut) > 1 else ""
+        warnings.append(
+            f"{short(cut[0][0])}: {cut[0][1]}; the last are taken for missing{more}: "
+            "is a separator lost?"
+        )
     decimal = decimal_sign(path, rows)
-    return Table(path, place, factors, tuple(rows), decimal, tuple(warnings))
+    told = tuple(warnings), tuple(unknown)
+    return Table(path, place, factors, tuple(rows), decimal, *told)
 
 
-def _unknown(path: Path, line: int, heading: str) -> str:
+def _unknown(heading: str) -> str:
     known = [*TEXTS, *(column.name for column in NUMBERS.values())]
     near = difflib.get_close_matches(heading, known, 1, 0.75)
     hint = f"; did you mean {near[0]}?" if near else ""
-    return f"{path.name}:{line}: column {heading!r} is not known and left out{hint}"
+    return f"column {heading!r} is not known and left out{hint}"
 
 
 def decimal_sign(path: Path, rows: list[Row]) -> str:
@@ -279,12 +307,32 @@ def decimal_sign(path: Path, rows: list[Row]) -> str:
         When both are there: one of them may part thousands.
     """
     first: dict[str, tuple[str, str, str]] = {}
+    parted: dict[str, tuple[str, str]] = {}  # as thousands are, by column
+    whole: set[str] = set()  # columns with larger numbers than those have parts
+    surely = False
     for row in rows:
         for name, text in row.texts.items():
             if name in NUMBERS and NUMBER.fullmatch(text):
                 for sign in ".,":
                     if sign in text:
                         first.setdefault(sign, (row.where(name), name, text))
+                if THOUSANDS.fullmatch(text):
+                    parted.setdefault(name, (row.where(name), text))
+                elif "," in text:
+                    surely = True
+                elif re.fullmatch(r"[+-]?\d{3,}", text):
+                    whole.add(name)
+    doubtful = [] if surely else [name for name in parted if name in whole]
+    if doubtful:
+        place, text = parted[doubtful[0]]
+        complaints = Complaints(path)
+        complaints.add(
+            place,
+            f"{NUMBERS[doubtful[0]].name}: {text!r} may be {text.replace(',', '.')} or "
+            f"{text.replace(',', '')}; allowed: no sign between thousands, and decimal "
+            "commas that are seen to be some",
+        )
+        complaints.settle()
     if len(first) == 2:
         place, name, text = first[","]
         other = first["."]

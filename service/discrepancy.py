@@ -77,7 +77,7 @@ Cache = Annotated[
 def _report(text: str) -> Path:
     """Parser of ``--report``: refuses what could not be written, before the work."""
     path = Path(text)
-    if not path.parent.is_dir():
+    if not path.parent.is_dir() or path.is_dir():
         raise InputError("--report", text, "a file in a folder that exists")
     return path
 

@@ -87,11 +87,15 @@ def show(found: Ranked) -> None:
     print(verdict(ranking, found.next_words))
     print()
     print_rich(ranking_table(ranking))
-    print(
-        f"\nError on devices that were left out, in noise: baseline "
-        f"{ranking.baseline_error:.2f}, with the right physics about "
-        f"{ranking.noise_floor:.2f}."
-    )
+    print()
+    if math.isfinite(ranking.baseline_error):
+        print(
+            "Error on devices that were left out, in noise: baseline "
+            f"{ranking.baseline_error:.2f}, with the right physics about "
+            f"{ranking.noise_floor:.2f}."
+        )
+    else:
+        print("No device can be left out to judge by: there is but one.")
     for line in found.fails_where:
         print(f"The model fails here: {line}")
     for one in found.proposals[:3]:

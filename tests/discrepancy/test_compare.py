@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datagen.errors import InputError
 from discrepancy.compare import Comparison, compare, labels_of
 from discrepancy.measurement import Curve, Measurements, Tolerances
 from discrepancy.solves import Solver
@@ -123,3 +124,25 @@ def test_readings_keep_their_places(cache: Path) -> None:
         [75e-6, 95e-6, 95e-6]
     )
     assert np.allclose((labels.pulls**2).sum(axis=0), 1)
+
+
+def test_a_quantity_that_reads_zero_throughout_is_missing_something(
+    cache: Path,
+) -> None:
+    """No error of a curve is as large as all that the curve should have been."""
+    data = measured({})[0]
+    curves = []
+    for curve in data.curves:
+        values = curve.values.copy()
+        values[:, curve.outputs.index("inflation")] = 0.0
+        curves.append(replace(curve, values=values))
+    found = held(replace(data, curves=tuple(curves)), cache)
+    assert found.missing
+    assert any(place.share < -0.9 for place in found.fails_where)
+
+
+def test_why_no_reading_is_reached_is_told(cache: Path) -> None:
+    data = measured({})[0]
+    curve = replace(data.curves[0], load=-np.linspace(5e3, 20e3, len(LOAD)))
+    with pytest.raises(InputError, match="roof and floor touch at -"):
+        held(replace(data, curves=(curve,)), cache)

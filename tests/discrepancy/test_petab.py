@@ -337,3 +337,36 @@ def test_a_problem_file_that_is_none(tmp_path: Path, text: str, told: str) -> No
     path.write_text(text)
     with pytest.raises(FileError, match=told):
         read_measurements(path)
+
+
+def test_what_stands_twice_is_refused(tmp_path: Path) -> None:
+    tables = version_1()
+    tables["observables"].append(tables["observables"][0])
+    for name, table in tables.items():
+        save(tmp_path / f"{name}.tsv", table)
+    with pytest.raises(MeasurementError, match="'rise' is there already"):
+        read_measurements(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("observableId\t", '"observableId\t', 'a " is not closed'),
+        ("noiseParameters", "measurement", "'measurement' stands there twice"),
+        ("\n", "\tsurplus\n", "fields, but"),
+    ],
+)
+def test_tables_that_are_not_whole(
+    tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    for name, table in version_1().items():
+        save(tmp_path / f"{name}.tsv", table)
+    path = tmp_path / "measurements.tsv"
+    text = path.read_text()
+    head, _, rest = text.partition("\n")
+    changed = head.replace(old, new) + "\n" + rest
+    if old == "\n":
+        changed = head + "\n" + rest.replace(old, new)
+    path.write_text(changed)
+    with pytest.raises(FileError, match=told):
+        read_measurements(tmp_path)

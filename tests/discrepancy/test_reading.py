@@ -331,3 +331,38 @@ def test_noise_may_dip_below_zero(tmp_path: Path) -> None:
     assert read_measurements(write(tmp_path, low)).warnings == ()
     vacuum = ({"pressure_kPa": "0"}, {"pressure_kPa": "-5", "inflation_mm": "-0.09"})
     assert read_measurements(write(tmp_path, *vacuum)).warnings == ()
+
+
+@pytest.mark.parametrize("end", ["\x0b", "\x0c", "\x1c", "\x85", "\u2028"])
+def test_remarks_may_hold_what_ends_no_line(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_bytes(f"# page 1{end}\n{text_of(rows(*LOADS))}".encode())
+    assert read_measurements(path).readings == 6
+
+
+def test_a_remark_that_a_spreadsheet_has_quoted(tmp_path: Path) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_text('"# measured by Meier, Bonn",,,\n' + text_of(rows(*LOADS)))
+    assert read_measurements(path).readings == 6
+
+
+def test_a_line_that_is_too_short_is_told(tmp_path: Path) -> None:
+    """Accepted, as spreadsheets cut what is empty; a lost separator looks the same."""
+    path = tmp_path / "bench.csv"
+    whole = text_of(rows(*LOADS)).splitlines()
+    whole[2] = whole[2].rpartition(",")[0]
+    path.write_text("\n".join(whole) + "\n")
+    (told,) = read_measurements(path).warnings
+    assert told.startswith("bench.csv:3: 16 fields, but 17 headings")
+    assert "is a separator lost?" in told
+
+
+def test_words_for_nothing_where_nothing_belongs(tmp_path: Path) -> None:
+    path = write(tmp_path, {"stretch": "NaN"}, {"stretch": "", "pressure_kPa": "20"})
+    assert read_measurements(path).readings == 4
+
+
+def test_pressure_and_then_vacuum_is_no_way_back(tmp_path: Path) -> None:
+    steps = ("10", "20", "30", "-1", "-2")
+    found = read_measurements(write(tmp_path, *({"pressure_kPa": p} for p in steps)))
+    assert list(found.curves[0].branch) == ["loading"] * 5

@@ -318,3 +318,59 @@ def test_not_a_table(tmp_path: Path, text: str, place: str, words: str) -> None:
 def test_no_such_file(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="cannot be read: No such file"):
         read_measurements(tmp_path / "none.csv")
+
+
+WHOLE = {"length_mm": "7", "balloon_start_mm": "1", "wall_mm": ""} | {
+    "upper_modulus_MPa": "2",
+    "lower_modulus_MPa": "4",
+    "tip_deflection_mm": "",
+    "inflation_mm": "",
+}
+"""Changes that leave a row without any decimal sign."""
+
+
+@pytest.mark.parametrize(
+    ("texts", "refused"),
+    [
+        (("600", "800", "1,050"), "'1,050' may be 1.050 or 1050"),
+        (("600", "0,8", "1,050"), ""),
+        (("0,600", "0,800", "1,050"), ""),
+    ],
+)
+def test_commas_that_may_part_thousands(
+    tmp_path: Path, texts: tuple[str, ...], refused: str
+) -> None:
+    path = tmp_path / "bench.csv"
+    steps = [
+        WHOLE | {"width_mm": "2", "pressure_kPa": str(10 * i), "inflation_um": text}
+        for i, text in enumerate(texts, 1)
+    ]
+    text = text_of(rows(*steps), ";").replace("inflation_mm", "remark")
+    path.write_text(text)
+    if not refused:
+        read_measurements(path)
+        return
+    with pytest.raises(MeasurementError, match=refused):
+        read_measurements(path)
+
+
+def test_a_misspelt_column_is_named_where_it_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_text(text_of(rows({})).replace("pressure_kPa", "presure_kPa"))
+    with pytest.raises(MeasurementError, match="did you mean pressure_kPa"):
+        read_measurements(path)
+
+
+def test_a_remark_between_rows_is_said_to_lack_the_design(tmp_path: Path) -> None:
+    path = tmp_path / "bench.csv"
+    lines = text_of(rows({}, {"pressure_kPa": "20"})).splitlines()
+    path.write_text("\n".join([*lines[:2], "# pump changed", *lines[2:]]) + "\n")
+    with pytest.raises(MeasurementError, match="length_mm: nothing is not allowed"):
+        read_measurements(path)
+
+
+def test_a_line_without_end(tmp_path: Path) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_text("x" * 200_000 + "\n")
+    with pytest.raises(FileError, match="not CSV"):
+        read_measurements(path)
