@@ -14,6 +14,7 @@ from .measurement import LOADING, MEASURED, SPECIMENS, UNLOADING, folded
 from .table import MISSING, NUMBER, Complaints, Row, Table
 
 LOADS = ("pressure", "stretch")
+"""Of which a specimen has one; the other may be empty in words."""
 
 WALL = 0.2e-3
 """m.  Wall of an undivided device, which has none: any will do."""

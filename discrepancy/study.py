@@ -151,8 +151,8 @@ class Study:
         for c in lost:
             curve = self.measurements.curves[c]
             count = sum(1 for i in np.flatnonzero(~there) if self.cells[i][0] == c)
-            ended = next(one for one in (fine[c], fast[c]) if one.status != "completed")
-            why = f" ({ended.message})" if ended.message else ""
+            messages = [one.message for one in (fine[c], fast[c]) if one.message]
+            why = f" ({messages[0]})" if messages else ""
             self.warnings.append(
                 f"device {curve.device}, run {curve.run}: {count} readings are past "
                 f"the end of the baseline's path{why} and are left out"
