@@ -89,7 +89,7 @@ LEVELS: dict[str, MeshLevel] = {
     level.name: level
     for level in (
         MeshLevel("draft", 4, 4, 3, 2, 2, 2, 1, 1, 0.85, 0.6, 1.0, 2.0),
-        MeshLevel("standard", 5, 4, 4, 3, 3, 3, 2, 1, 1.3, 0.9, 0.8, 2.0, 0.5),
+        MeshLevel("standard", 5, 5, 4, 3, 3, 3, 2, 1, 1.2, 0.7, 0.67, 2.0, 0.44),
         MeshLevel("fine", 9, 6, 7, 4, 5, 4, 3, 2, 0.35, 0.35, 0.6, 0.35),
     )
 }
@@ -99,10 +99,13 @@ FORMER: dict[str, MeshLevel] = {
     for level in (
         MeshLevel("standard-1", 6, 4, 3, 2, 2, 1, 2, 1, 0.85, 0.7, 1.0, 0.0),
         MeshLevel("draft-4", 4, 4, 3, 3, 2, 1, 1, 1, 1.0, 0.85, 1.0, 2.0),
-        replace(LEVELS["standard"], name="standard-4", wall=1, edge_divided=1.0),
+        MeshLevel("standard-4", 5, 4, 4, 3, 3, 1, 2, 1, 1.3, 0.9, 0.8, 2.0),
         replace(LEVELS["draft"], name="draft-5", wall=1),
-        replace(LEVELS["standard"], name="standard-5", wall=1, edge_divided=1.0),
+        MeshLevel("standard-5", 5, 4, 4, 3, 3, 1, 2, 1, 1.3, 0.9, 0.8, 2.0),
         replace(LEVELS["fine"], name="fine-5", wall=2),
+        replace(LEVELS["draft"], name="draft-6"),
+        MeshLevel("standard-6", 5, 4, 4, 3, 3, 3, 2, 1, 1.3, 0.9, 0.8, 2.0, 0.5),
+        replace(LEVELS["fine"], name="fine-6"),
     )
 }
 """Levels of earlier generator versions, by which their datasets are solved again."""

@@ -34,7 +34,7 @@ from .specimens import (
 
 Array = np.ndarray
 
-GENERATOR_VERSION = "6"
+GENERATOR_VERSION = "7"
 """Changes whenever the numbers that the model gives change."""
 
 
