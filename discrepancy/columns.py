@@ -190,6 +190,10 @@ def column_of(header: str) -> tuple[str, float] | None:
     return None
 
 
+LEAST_MEANT = 1e-4
+"""Of the largest value allowed: a unit that leaves less was hardly meant."""
+
+
 def _is_unit(text: str) -> bool:
     """True for a unit of any kind."""
     return any(
@@ -226,7 +230,8 @@ def refusal(
     )
     for unit, factor in UNITS[column.kind].items():
         meant = shown * factor
-        if unit != column.unit and not inside and lower <= meant <= upper:
+        likely = lower <= meant <= upper and abs(meant) >= LEAST_MEANT * upper
+        if unit != column.unit and not inside and likely:
             return (
                 f"{text}; probably meant in {unit}: {shown:.10g} {unit} is "
                 f"{meant / scale:.6g} {column.unit}"

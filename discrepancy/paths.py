@@ -74,7 +74,8 @@ class Paths:
         """Loads and times of a curve's path, and where its steps are among them.
 
         Where an effect remembers, the path begins with the runs before it, vented in
-        between; else steps are sorted, and solved once each.
+        between; else steps are sorted, and solved once each: pressures first, vacuum,
+        in which a path may end as roof and floor touch, last.
         """
         curve = self._measured[c]
         load = np.asarray(curve.load)
@@ -88,10 +89,11 @@ class Paths:
             loads, times = _one_after_another([*before, curve])
             at = np.arange(len(loads) - len(load), len(loads))
             return tuple(loads), tuple(times) if times else None, at
-        if (load < 0).any() or isinstance(curve.design, Tensile):
+        if isinstance(curve.design, Tensile):
             return tuple(float(p) for p in load), None, np.arange(len(load))
         unique, at = np.unique(load, return_inverse=True)
-        return tuple(float(p) for p in unique), None, at
+        order = np.lexsort((np.abs(unique), unique < 0))
+        return tuple(float(p) for p in unique[order]), None, np.argsort(order)[at]
 
     def task(
         self,

@@ -20,6 +20,8 @@ read: the model is the device's own.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -42,6 +44,22 @@ Line = tuple[str, dict[str, str]]
 """``FILE:LINE`` and the fields that are not empty, by heading."""
 
 KINDS = ("measurement", "condition", "observable", "experiment")
+
+COLUMNS = {
+    "measurement": (
+        *("observableId", "simulationConditionId", "preequilibrationConditionId"),
+        *("experimentId", "measurement", "time", "observableParameters"),
+        *("noiseParameters", "datasetId", "replicateId", "modelId"),
+    ),
+    "condition": ("conditionId", "conditionName", "targetId", "targetValue"),
+    "observable": (
+        *("observableId", "observableName", "observableFormula", "noiseFormula"),
+        *("observableTransformation", "noiseDistribution"),
+        *("observablePlaceholders", "noisePlaceholders"),
+    ),
+    "experiment": ("experimentId", "experimentName", "time", "conditionId"),
+}
+"""Headings of the format's versions 1 and 2; others are its users' own."""
 
 
 @dataclass
@@ -97,7 +115,7 @@ def petab_table(path: Path) -> tuple[Table, bytes]:
             data += raw
             text, odd = decode(file, raw)
             warnings += odd
-            content[kind] += _lines(file, text)
+            content[kind] += _lines(file, text, COLUMNS[kind], warnings)
     if not content["measurement"]:
         raise FileError(path, "has no measurements")
     factors: dict[str, float] = {}
@@ -172,8 +190,10 @@ def _listed(path: Path) -> dict[str, list[Path]]:
     return files
 
 
-def _lines(file: Path, text: str) -> list[Line]:
-    """Lines of one table, by heading."""
+def _lines(
+    file: Path, text: str, columns: Sequence[str], warnings: list[str]
+) -> list[Line]:
+    """Lines of one table, by heading; headings that seem misspelt are told."""
     headings: list[str] = []
     lines = []
     for number, fields in lines_of(file, text, "\t"):
@@ -183,6 +203,11 @@ def _lines(file: Path, text: str) -> list[Line]:
             twice = [one for one in headings if one and headings.count(one) > 1]
             if twice:
                 raise FileError(place, f"column {twice[0]!r} stands there twice")
+            for one in set(headings) - set(columns):
+                near = difflib.get_close_matches(one, columns, 1, 0.8)
+                if near and near[0] not in headings:
+                    words = f"column {one!r} is not PEtab's and left out"
+                    warnings.append(f"{short(place)}: {words}; did you mean {near[0]}?")
             continue
         if any(fields[len(headings) :]):
             words = f"{len(fields)} fields, but {len(headings)} headings"

@@ -8,7 +8,7 @@ possible is a warning.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -29,6 +29,7 @@ from .measurement import (
     Tolerances,
 )
 from .petab import petab_table
+from .plausible import odd_curves, stress_slip
 from .rows import Reading, check_columns, needed, read_row
 from .table import (
     Complaints,
@@ -51,10 +52,6 @@ less certain than that was not measured, or is in another unit."""
 LEAST_DIP = 20e-6
 """m.  A roof lower than at rest by more than this, and by three standard deviations,
 is reported: noise of a camera is smaller."""
-
-SMALLEST_TOP = {"pressure": 500.0, "inflation": 1e-6}
-"""Pa and m.  A file whose largest value is smaller was hardly written in our unit."""
-
 
 PROBLEM_FILES = (".yaml", ".yml")
 """Endings of PEtab's problem files, which name the tables."""
@@ -158,7 +155,7 @@ def _measurements(
             )
         curves += measured
     complaints.settle()
-    warnings += _tops(curves, table.path.name)
+    warnings += odd_curves(curves, table.path.name)
     return Measurements(
         tuple(curves),
         table.path.name,
@@ -291,6 +288,12 @@ def _limits(design: Design | Bulge | Tensile) -> dict[str, tuple[float, float, s
     why = f"{LARGEST_RISE:g} {why}"
     limits = {name: (-rise, rise, why) for name in ("inflation", "inflation_lower")}
     if isinstance(design, Design):
+        most = 2 * rise * design.balloon_length * design.balloon_width
+        limits["cavity_volume"] = (
+            -most,
+            most,
+            f"roofs and floors {LARGEST_RISE:g} times as high as a balloon is wide",
+        )
         reach = design.length
         limits["tip_deflection"] = (-reach, reach, "the length of the strip")
     return limits
@@ -302,6 +305,8 @@ def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) 
         return
     limits = _limits(device.design)
     _check_stds(device, complaints)
+    if isinstance(device.design, Tensile):
+        _check_stress(device.design, device.curves.values(), complaints)
     for reading in (one for rows in device.curves.values() for one in rows):
         row = reading.row
         for quantity, (lower, upper, why) in limits.items():
@@ -332,6 +337,18 @@ def _check_stds(device: _Device, complaints: Complaints) -> None:
                 wrong = refusal(field, std, 0.0, LARGEST_STD * top, why)
                 if wrong:
                     complaints.add(reading.row.where(field), wrong)
+
+
+def _check_stress(
+    design: Tensile, curves: Iterable[list[Reading]], complaints: Complaints
+) -> None:
+    """Stresses against the stated modulus."""
+    for rows in curves:
+        stretch = np.array([reading.load for reading in rows])
+        stress = np.array([reading.get("stress") for reading in rows])
+        at, wrong = stress_slip(design, stretch, stress)
+        if wrong:
+            complaints.add(rows[at].row.where("stress"), wrong)
 
 
 # -- curves ----------------------------------------------------------------------------
@@ -492,23 +509,6 @@ def _odd_steps(run: int, rows: list[Reading]) -> list[str]:
                     f"{branch} branch; rows are taken as the order applied"
                 )
                 break
-    return odd
-
-
-def _tops(curves: list[Curve], name: str) -> list[str]:
-    """Columns whose largest value is so small that another unit may have been meant."""
-    odd = []
-    for column, least in SMALLEST_TOP.items():
-        sizes = [
-            np.abs(curve.load if column == "pressure" else curve.output(column))
-            for curve in curves
-            if curve.specimen != "tensile"
-            and (column == "pressure" or column in curve.outputs)
-        ]
-        top = max((float(np.nanmax(size)) for size in sizes), default=0.0)
-        if 0 < top < least:
-            text = _shown(column, top)
-            odd.append(f"{name}: the largest {text} in the file: is the unit right?")
     return odd
 
 

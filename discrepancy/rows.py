@@ -11,7 +11,7 @@ from datagen.specimens import MODES
 
 from .columns import DESIGN_NAMES, NUMBERS, QUANTITY_NAMES, refusal
 from .measurement import LOADING, MEASURED, SPECIMENS, UNLOADING, folded
-from .table import MISSING, NUMBER, Complaints, Row, Table
+from .table import MINUS, MISSING, NUMBER, Complaints, Row, Table
 
 LOADS = ("pressure", "stretch")
 """Of which a specimen has one; the other may be empty in words."""
@@ -97,6 +97,7 @@ def _number(
     """A field of a number, SI; None where it is none or outside its range."""
     column = NUMBERS[name]
     unit = f" in {column.unit}" if column.unit else ""
+    text = text.replace(MINUS, "-")
     if not NUMBER.fullmatch(text):
         complaints.add(
             row.where(name),
@@ -145,6 +146,12 @@ def read_row(
     device = row.texts.get("device", "")
     if not device:
         complaints.add(row.place, "device: nothing is not allowed; allowed: a name")
+    elif not device.isprintable():
+        complaints.add(
+            row.where("device"),
+            f"device: {device!a} is not allowed; allowed: a name of characters "
+            "that can be seen",
+        )
     specimen = _word(row, "specimen", SPECIMENS, "actuator", complaints)
     branch = _word(row, "branch", (LOADING, UNLOADING), LOADING, complaints)
     mode = MODES[0]

@@ -20,11 +20,11 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from datagen.atomic import replacing
+from datagen.atomic import reason, replacing
 from datagen.device import Design
 from datagen.effects import Effect, catalogue
 from datagen.equilibrium import Workspace
-from datagen.errors import InputError
+from datagen.errors import FileError, InputError
 from datagen.model import GENERATOR_VERSION, Model
 from datagen.response import Path
 from datagen.specimens import Bulge, Tensile
@@ -289,6 +289,9 @@ def default_cache() -> FilePath:
     return (FilePath(base) if base else FilePath.home() / ".cache") / "pba" / "solves"
 
 
+KEPT = "solves cannot be kept here: {}; another folder is named by --cache or PBA_CACHE"
+
+
 @dataclass(frozen=True)
 class Progress:
     """How far a set of solves is: `done` of `total`, and what they are for."""
@@ -358,6 +361,8 @@ class Solver:
         ------
         InputError
             When a specimen or its load is not allowed.
+        FileError
+            When the folder of kept solves cannot be written to.
         """
         wanted = list(dict.fromkeys(tasks))
         answers: dict[Solve, Solved] = {}
@@ -378,6 +383,8 @@ class Solver:
 
         if self.progress is not None and wanted:
             self.progress(Progress(len(answers), len(wanted), what))
+        if missing:
+            self._check_cache()
         if self.workers == 1 or len(missing) <= 1:
             for task in missing:
                 keep(task, solve(task))
@@ -386,6 +393,16 @@ class Solver:
         for future in as_completed(futures):
             keep(futures[future], future.result())
         return answers
+
+    def _check_cache(self) -> None:
+        """Better told before a solve than after it."""
+        try:
+            self.cache.mkdir(parents=True, exist_ok=True)
+            allowed = os.access(self.cache, os.W_OK)
+        except OSError as error:
+            raise FileError(self.cache, KEPT.format(reason(error))) from error
+        if not allowed:
+            raise FileError(self.cache, KEPT.format("not writable"))
 
     def _executor(self) -> ProcessPoolExecutor:
         if self._pool is None:

@@ -24,11 +24,20 @@ SEPARATORS = (",", ";", "\t")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 """A plain number with a decimal point or a decimal comma."""
 
+MINUS = "\N{MINUS SIGN}"
+"""Written by word processors and plots where a number has a hyphen."""
+
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """A number whose comma may part thousands as well as be a decimal one."""
 
 MISSING = {"nan", "na", "n/a", "#n/a", "-", "none", "null"}
 """Words that programs write for a value that is not there, in lower case."""
+
+ENOUGH = 3
+"""Known columns by which the headings are told from the lines of a title."""
+
+TITLE = 40
+"""Lines that a title may have."""
 
 
 class MeasurementError(FileError):
@@ -195,8 +204,13 @@ def _known(heading: str) -> bool:
         return True
 
 
-def _headings(path: Path, text: str) -> tuple[str, int, list[str]]:
-    """Separator, line number and headings: the first line that is no comment."""
+def _headings(path: Path, text: str) -> tuple[str, int, list[str], int]:
+    """Separator, line number and headings: the first line with `ENOUGH` of our columns.
+
+    Where there is none, the first that is no comment.  The last number returned is the
+    line of a title, which stands above the headings, or 0.
+    """
+    first: tuple[str, int, list[str], int] | None = None
     # Not by `splitlines`, which knows ends of lines that CSV does not.
     for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
         if re.fullmatch(r"sep=.?", line.strip(), re.IGNORECASE):
@@ -204,8 +218,15 @@ def _headings(path: Path, text: str) -> tuple[str, int, list[str]]:
         if not line.strip(" \t,;") or line.lstrip(' \t"').startswith("#"):
             continue
         split = {s: _split(path, number, line, s) for s in SEPARATORS}
-        best = max(SEPARATORS, key=lambda s: sum(map(_known, split[s])))
-        return best, number, split[best]
+        known = {s: sum(map(_known, split[s])) for s in SEPARATORS}
+        best = max(SEPARATORS, key=known.__getitem__)
+        if known[best] >= ENOUGH:
+            return best, number, split[best], first[1] if first else 0
+        first = first or (best, number, split[best], 0)
+        if number > first[1] + TITLE:
+            break
+    if first:
+        return first
     raise FileError(path, "is empty; allowed: a line of headings and readings below")
 
 
@@ -221,9 +242,11 @@ def read_table(path: Path, data: bytes) -> Table:
         or decimal points and commas are mixed.
     """
     text, warnings = decode(path, data)
-    separator, top, headings = _headings(path, text)
+    separator, top, headings, title = _headings(path, text)
     complaints = Complaints(path)
     place = f"{path}:{top}"
+    if title:
+        warnings.append(f"{path.name}:{title}: left out: stands above the headings")
     fields: list[str | None] = []
     factors: dict[str, float] = {}
     first: dict[str, str] = {}
@@ -312,6 +335,7 @@ def decimal_sign(path: Path, rows: list[Row]) -> str:
     surely = False
     for row in rows:
         for name, text in row.texts.items():
+            text = text.replace(MINUS, "-")
             if name in NUMBERS and NUMBER.fullmatch(text):
                 for sign in ".,":
                     if sign in text:

@@ -7,6 +7,7 @@ standard error.  Heavy packages are imported by the commands that need them.
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import time
@@ -524,6 +525,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if arguments is None and not os.environ.get("PBA_DEBUG"):
         sys.excepthook = _unforeseen
+    if arguments is None:
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")  # a terminal that has no bars
     given = list(sys.argv[1:] if arguments is None else arguments)
     command = typer.main.get_command(app)
     try:

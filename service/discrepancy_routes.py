@@ -19,7 +19,7 @@ from datagen.errors import InputError
 
 from .jobs import Job, payload_key
 from .measurements import MeasurementFiles, tolerances
-from .routes import BODY, Service, Shared, accepted, errors, known_effects
+from .routes import ACCEPTED, BODY, Service, Shared, accepted, errors, known_effects
 from .schemas import AdoptionIn, JobOut, MeasuredIn, MeasurementsOut, RankingIn
 from .tasks import fem_version
 
@@ -28,8 +28,16 @@ router = APIRouter(responses=errors(422, 500))
 NAMELESS = "measurements.csv"
 """Name of a file that comes without one."""
 
-ACCEPTED: dict[int | str, dict[str, Any]] = {
-    202: {"model": JobOut, "description": "Long work: a job"}
+
+KEPT: dict[int | str, dict[str, Any]] = {
+    201: {
+        "headers": {
+            "Location": {
+                "description": "where the measurements are",
+                "schema": {"type": "string"},
+            }
+        }
+    }
 }
 
 
@@ -42,7 +50,7 @@ def files_of(service: Service) -> MeasurementFiles:
     "/v1/measurements",
     status_code=201,
     response_model=MeasurementsOut,
-    responses=BODY,
+    responses=KEPT | BODY,
     openapi_extra={
         "requestBody": {
             "required": True,

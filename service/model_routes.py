@@ -21,10 +21,10 @@ from .adoption import version_json, version_row
 from .answer import COVERAGE
 from .bench import plain
 from .current import ModelNotFound, Serving
-from .discrepancy_routes import ACCEPTED, payload_of, submit
+from .discrepancy_routes import payload_of, submit
 from .discrepancy_tasks import measured_of
 from .jobs import Job, payload_key
-from .routes import BODY, Service, Shared, accepted, errors, known_effects
+from .routes import ACCEPTED, BODY, Service, Shared, accepted, errors, known_effects
 from .schemas import AdoptionIn, JobOut, SurrogateIn, UseIn
 
 router = APIRouter(responses=errors(422, 500))

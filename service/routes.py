@@ -113,6 +113,24 @@ def errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"model": ErrorOut} for status in statuses}
 
 
+ACCEPTED: dict[int | str, dict[str, Any]] = {
+    202: {
+        "model": JobOut,
+        "description": "Long work: a job",
+        "headers": {
+            "Location": {
+                "description": "where the job is",
+                "schema": {"type": "string"},
+            },
+            "Retry-After": {
+                "description": "after how long to look at it (s)",
+                "schema": {"type": "integer"},
+            },
+        },
+    }
+}
+"""Of a request that starts a job."""
+
 BODY = errors(400, 413, 415)  # of any request with a body: no JSON, too long
 router = APIRouter(responses=errors(422, 500))
 
@@ -120,9 +138,7 @@ router = APIRouter(responses=errors(422, 500))
 @router.post(
     "/v1/predict",
     response_model=PredictOut,
-    responses={202: {"model": JobOut, "description": "Long work: a job"}}
-    | BODY
-    | errors(409, 503),
+    responses=ACCEPTED | BODY | errors(409, 503),
 )
 async def predict(body: PredictIn, service: Shared) -> Any:
     """What a device does at each pressure, from the surrogate where it was trained.
@@ -252,7 +268,7 @@ def known_effects(names: list[str]) -> None:
     "/v1/datasets",
     status_code=202,
     response_model=JobOut,
-    responses=BODY | errors(503),
+    responses=ACCEPTED | BODY | errors(503),
 )
 def generate_dataset(body: DatasetIn, service: Shared) -> Response:
     """Generate a dataset as a job; its file is then at ``/v1/jobs/ID/file``."""
@@ -330,9 +346,8 @@ def _job(job: Job) -> JobOut:
 
 def accepted(job: Job) -> JSONResponse:
     """202, with the job and where it is."""
-    return JSONResponse(
-        _job(job).model_dump(), 202, headers={"Location": f"/v1/jobs/{job.id}"}
-    )
+    where = {"Location": f"/v1/jobs/{job.id}", "Retry-After": "1"}
+    return JSONResponse(_job(job).model_dump(), 202, headers=where)
 
 
 def _failed(job: Job) -> Response:

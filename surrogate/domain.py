@@ -154,15 +154,15 @@ class Domain:
             found.append(
                 (
                     low,
-                    f"{PRESSURE.name}: {pressure.min() / kpa:g} is below the trained "
-                    f"range 0 to {self.max_pressure / kpa:g}",
+                    f"{PRESSURE.name}: {pressure.min() / kpa:.10g} is below the "
+                    f"trained range 0 to {self.max_pressure / kpa:g}",
                 )
             )
         if high.any():
             found.append(
                 (
                     high,
-                    f"{PRESSURE.name}: {pressure.max() / kpa:g} is past the trained "
+                    f"{PRESSURE.name}: {pressure.max() / kpa:.10g} is past the trained "
                     f"{self.max_pressure / kpa:g} kPa",
                 )
             )

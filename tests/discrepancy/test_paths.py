@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from datagen.device import named_device
 from datagen.effects import catalogue
+from datagen.errors import FileError
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.paths import RESTED, Paths
 from discrepancy.solves import Solver
@@ -68,3 +70,36 @@ def test_effects_of_time_need_a_time_in_every_curve(tmp_path: Path) -> None:
     study = Study(measured, solver, level="draft", effects=("yeoh",))
     assert "device B, run 1, has none" in study.blind("viscoelasticity")
     assert study.blind("mullins") == ""
+
+
+def test_a_sweep_that_begins_in_vacuum_keeps_its_pressures(tmp_path: Path) -> None:
+    """Roof and floor touch at some -3.5 kPa, where a path ends."""
+    sweep = replace(
+        FIRST,
+        load=np.array([-50e3, -1e3, 0.0, 5e3, -1e3]),
+        time=None,
+        outputs=("tip_deflection",),
+        values=np.ones((5, 1)),
+        std=np.ones((5, 1)),
+        branch=np.full(5, "loading"),
+    )
+    path = paths(sweep)
+    load, _, at = path.load(0, ())
+    assert load == (0.0, 5e3, -1e3, -50e3)
+    assert list(at) == [3, 2, 0, 1, 2]
+    task = path.task(0, "draft", by=())
+    solved = {0: Solver(1, tmp_path).all([task])[task]}
+    values, _ = path.gather([(0, step, 0) for step in range(5)], (), solved)
+    assert solved[0].status == "contact"
+    assert np.isnan(values[0]) and abs(values[2]) < 1e-12
+    assert 0.1e-6 < abs(values[1]) < 1e-6 and values[1] == values[4]
+    assert 5e-6 < values[3] < 20e-6
+
+
+def test_a_cache_that_cannot_be_kept_is_told_before_the_solve(tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    with pytest.raises(
+        FileError, match=r"taken: solves cannot be kept here: .*--cache"
+    ):
+        Solver(1, taken).all([paths(FIRST).task(0, "draft")])

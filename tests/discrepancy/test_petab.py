@@ -293,6 +293,17 @@ def test_named_noise_is_unknown_noise(tmp_path: Path) -> None:
     assert np.isnan(found.curves[0].std[0, 1])
 
 
+def test_a_misspelt_heading_is_told(tmp_path: Path) -> None:
+    """Not those that are the user's own, which the format allows."""
+    tables = version_1()
+    for row in tables["measurements"]:
+        row["noiseParameter"], row["operator"] = row.pop("noiseParameters"), "Meier"
+    assert read_petab(folder(tmp_path / "petab", tables)).warnings == (
+        "measurements.tsv:1: column 'noiseParameter' is not PEtab's and left out; did "
+        "you mean noiseParameters?",
+    )
+
+
 def test_missing_tables_and_files(tmp_path: Path) -> None:
     tables = version_1()
     path = folder(tmp_path / "petab", tables)

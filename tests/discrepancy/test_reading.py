@@ -12,7 +12,7 @@ import pytest
 from datagen.device import named_device
 from datagen.specimens import Bulge, Tensile
 from discrepancy.measurement import Tolerances
-from discrepancy.reading import read_measurements
+from discrepancy.reading import MeasurementError, read_measurements
 
 from .benches import LOADS, rows, text_of, write
 
@@ -366,3 +366,53 @@ def test_pressure_and_then_vacuum_is_no_way_back(tmp_path: Path) -> None:
     steps = ("10", "20", "30", "-1", "-2")
     found = read_measurements(write(tmp_path, *({"pressure_kPa": p} for p in steps)))
     assert list(found.curves[0].branch) == ["loading"] * 5
+
+
+@pytest.mark.parametrize("title", ["Meier, Bonn", "Device list, run 3,,", "PBA"])
+def test_a_title_above_the_headings_is_left_out(tmp_path: Path, title: str) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_text(f"{title}\n2026-11-29\n\n" + text_of(rows(*LOADS)))
+    found = read_measurements(path)
+    assert found.readings == 6
+    assert found.warnings == ("bench.csv:1: left out: stands above the headings",)
+
+
+def test_a_minus_sign_that_is_no_hyphen(tmp_path: Path) -> None:
+    path = write(tmp_path, {"tip_deflection_mm": "\N{MINUS SIGN}0.02"})
+    assert read_measurements(path).curves[0].output("tip_deflection") == [-0.02e-3]
+
+
+def test_angles_that_may_be_radians(tmp_path: Path) -> None:
+    bent = {"tip_deflection_mm": "1.5", "pressure_kPa": "30"}
+    for angle, told in (("30", 0), ("0.52", 1)):
+        path = write(tmp_path, bent | {"bending_angle_deg": angle})
+        warnings = read_measurements(path).warnings
+        assert len(warnings) == told
+        assert all("are the angles in degrees?" in words for words in warnings)
+
+
+@pytest.mark.parametrize(
+    ("stress", "meant"),
+    [("1.2", ""), ("450", "; probably meant in kPa"), ("1e-6", "")],
+)
+def test_stress_against_the_stated_modulus(
+    tmp_path: Path, stress: str, meant: str
+) -> None:
+    """2.5 MPa at a stretch of 1.5: 0.88 MPa, neo-Hookean."""
+    strip = {"device": "T", "specimen": "tensile", "upper_modulus_MPa": "2.5"}
+    table = [
+        {**strip, "stretch": stretch, "stress_MPa": text}
+        for stretch, text in (("1", "0"), ("1.5", stress))
+    ]
+    path = tmp_path / "strip.csv"
+    path.write_text(text_of(table))
+    if float(stress) == 1.2:
+        assert read_measurements(path).readings == 2
+        return
+    with pytest.raises(MeasurementError) as told:
+        read_measurements(path)
+    assert str(told.value).endswith(
+        f":3: stress_MPa: {float(stress):g} MPa at stretch 1.5 is not allowed; "
+        "allowed: within a factor of 100 of the 0.8796 MPa that the stated modulus of "
+        f"2.5 MPa makes expect{meant}"
+    )

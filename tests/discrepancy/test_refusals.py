@@ -37,6 +37,25 @@ REFUSED: dict[str, tuple[list[dict[str, str]], int, str]] = {
         "inflation_mm: 11 mm is not allowed; allowed: a number from -3 to 3 mm (3 "
         "times the shorter side of a balloon); probably meant in um: 11 um is 0.011 mm",
     ),
+    "nanolitres for microlitres": (
+        [{"cavity_volume_uL": "700"}],
+        2,
+        "cavity_volume_uL: 700 uL is not allowed; allowed: a number from -24 to 24 uL "
+        "(roofs and floors 3 times as high as a balloon is wide); probably meant in "
+        "nL: 700 nL is 0.7 uL",
+    ),
+    "kilopascals for megapascals of stress": (
+        [{"stress_MPa": "1200"}],
+        2,
+        "stress_MPa: 1200 MPa is not allowed; allowed: a number from -500 to 500 MPa; "
+        "probably meant in kPa: 1200 kPa is 1.2 MPa",
+    ),
+    "a name that nobody sees": (
+        [{"device": "S1\u200b"}],
+        2,
+        "device: 'S1\\u200b' is not allowed; allowed: a name of characters that can be "
+        "seen",
+    ),
     "millimetres for micrometres": (
         [{"upper_thickness_um": "0.095"}],
         2,

@@ -45,6 +45,7 @@ def identity(client: TestClient, csv: bytes) -> str:
 def ended(client: TestClient, answer: Any, seconds: float = 300) -> dict[str, Any]:
     """The job of an answer once it has ended."""
     assert answer.status_code == 202, answer.text
+    assert answer.headers["Retry-After"] == "1"
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         job: dict[str, Any] = client.get(answer.headers["Location"]).json()

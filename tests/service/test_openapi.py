@@ -94,3 +94,17 @@ def test_answers_follow_the_schema(client: TestClient) -> None:
         body = ask(client, design, kpa).json()
         assert PredictOut.model_validate(body, strict=True).model_dump() == body
         assert set(body) == set(PredictOut.model_fields)
+
+
+def test_where_to_look_next_is_part_of_the_answer(schema: dict[str, Any]) -> None:
+    """202: the job, and when; 201: what was kept."""
+    told = {
+        path: answers[status]["headers"]
+        for path, methods in schema["paths"].items()
+        for answers in [methods.get("post", {}).get("responses", {})]
+        for status in ("201", "202")
+        if status in answers
+    }
+    assert told.pop("/v1/measurements").keys() == {"Location"}
+    assert "/v1/datasets" in told and "/v1/predict" in told
+    assert all(found.keys() == {"Location", "Retry-After"} for found in told.values())
