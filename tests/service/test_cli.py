@@ -443,6 +443,17 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     assert "Traceback" not in run.stderr
 
 
+def test_a_terminal_without_unicode_gets_its_answer() -> None:
+    run = python(
+        "import sys; sys.stdout.reconfigure(encoding='ascii', errors='strict')\n"
+        "from service.cli import main\n"
+        "sys.argv = ['pba', 'predict', '--device', 'S1', '--pressures', '10,20']\n"
+        "sys.exit(main())"
+    )
+    assert run.returncode == 0, run.stderr
+    assert "At 20 kPa the tip is" in run.stdout
+
+
 def test_sparkline() -> None:
     assert terminal.sparkline([0, 1, None, 7]) == "▁▂ █"
     assert terminal.sparkline([2, 2]) == "▁▁"
