@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from datagen.device import named_device
 from datagen.errors import FileError, InputError
-from datagen.specimens import MODES, Bulge, Tensile
+from datagen.materials import Hyperelastic
+from datagen.specimens import MODES, Bulge, Tensile, tensile_stress
 from discrepancy.measurement import (
     LOADING,
     MEASURED,
@@ -187,9 +188,9 @@ SIZE = {
     "bending_angle": 6.0,
     "inflation": 2.4e-3,
     "inflation_lower": 2.4e-3,
-    "cavity_volume": 1e-5,
-    "stress": 1e7,
+    "cavity_volume": 2e-8,
 }
+"""Of readings, SI; stress is by the modulus and the stretch."""
 
 
 @st.composite
@@ -226,12 +227,20 @@ def curves_of(draw: st.DrawFn, device: str) -> list[Curve]:
             for name in MEASURED[kind or "actuator"]
             if name in ("inflation", "stress") or draw(st.booleans())
         )
-        top = np.array([SIZE[name] for name in outputs])
+        if isinstance(design, Tensile):
+            law, stretch = Hyperelastic(), np.array(load)
+            stress = tensile_stress(law, modulus / 3, stretch, design.mode)
+            top = np.maximum(np.abs(stress[:, None]), 0.01 * modulus)
+        else:
+            top = np.tile([SIZE[name] for name in outputs], (n, 1))
         cell = st.none() | near(-1, 1)
         grid = st.lists(cell, min_size=n * len(outputs), max_size=n * len(outputs))
-        values = np.array(draw(grid), dtype=float).reshape(n, -1) * top
-        values[0] = 0.5 * top
-        std = np.abs(np.array(draw(grid), dtype=float).reshape(n, -1)) * top
+        values = np.array(draw(grid), dtype=float).reshape(n, -1)
+        if isinstance(design, Tensile):
+            values = 0.5 + 0.4 * values
+        values = values * top
+        values[0] = 0.5 * top[0]
+        std = np.abs(np.array(draw(grid), dtype=float).reshape(n, -1)) * 0.2 * top
         std = np.where((std > 1e-12 * top) & np.isfinite(values), std, np.nan)
         steps = draw(st.none() | st.lists(near(1e-3, 1e3), min_size=n, max_size=n))
         up = draw(st.integers(0, n))
