@@ -27,6 +27,8 @@ def replacing(path: Path) -> Iterator[Path]:
     FileError
         When the folder is missing, not writable, or the disk is full.
     """
+    if path.exists() and not path.is_file():  # a device, say, which a rename would end
+        raise FileError(path, "cannot be written: is there, and no file")
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}{TEMPORARY}")
     try:
         temporary.touch(exist_ok=False)  # says early and clearly what is in the way

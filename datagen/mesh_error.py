@@ -286,8 +286,10 @@ def estimate(
     """
     known = factors(level)
     targets, time, steps = _targets(path, response)
-    other = follow(problem, targets, time, workspace)
     error = np.full(response.values.shape, np.nan)
+    if not len(targets):  # nothing was reached
+        return error, np.full(1, np.nan)
+    other = follow(problem, targets, time, workspace)
     scale = scale_of(other.largest[:steps], problem.design)
     error[0, :steps] = known.bound(
         response.values[0, :steps], other.coarse[:steps], scale

@@ -13,6 +13,7 @@ import numpy as np
 from .continuation import PathFollower
 from .device import DESIGN_FIELDS, DESIGN_SPACE, LIMITS, MAX_PRESSURE, Design
 from .effects import Effect, catalogue
+from .effects.acting import act
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
 from .mesh import COARSER, mesh_level
@@ -145,7 +146,7 @@ class Model:
     def _on(self, problem: Problem) -> Problem:
         """A baseline with the active effects in it."""
         for one in self.active:
-            problem = one.apply(problem, self.__dict__["_values"][one.name])
+            problem = act(one, problem, self.__dict__["_values"][one.name])
         return problem
 
     def directions(

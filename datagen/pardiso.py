@@ -124,11 +124,13 @@ class Pardiso:
         return x
 
     def factorise(self, data: Array) -> None:
+        _check_finite(data)
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._call(22)
         self.negative = int(self._settings[22])
 
     def solve(self, rhs: Array) -> Array:
+        _check_finite(rhs)
         return self._call(33, rhs)
 
     def __del__(self) -> None:
@@ -136,3 +138,9 @@ class Pardiso:
         if handle is not None and handle.any() and not sys.is_finalizing():
             with suppress(ArithmeticError):
                 self._call(-1)
+
+
+def _check_finite(values: Array) -> None:
+    """PARDISO writes past its own memory where a number is none."""
+    if not np.isfinite(values).all():
+        raise ArithmeticError("PARDISO is given what is not finite")

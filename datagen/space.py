@@ -52,8 +52,9 @@ class Parameter:
             raise InputError("name", self.name, "a Python identifier")
         if not self.unit:
             raise InputError(f"{self.name}.unit", self.unit, 'a unit, "1" for a number')
-        if not (math.isfinite(self.lower) and math.isfinite(self.upper)):
-            raise InputError(f"{self.name}.lower", self.lower, "finite bounds")
+        for side, bound in (("lower", self.lower), ("upper", self.upper)):
+            if not math.isfinite(bound):
+                raise InputError(f"{self.name}.{side}", bound, "a finite bound")
         if self.lower >= self.upper:
             raise InputError(f"{self.name}.lower", self.lower, f"below {self.upper:g}")
         if self.scale not in SCALES:
@@ -62,6 +63,9 @@ class Parameter:
             raise InputError(f"{self.name}.lower", self.lower, "above 0 on a log scale")
         if self.prior not in PRIORS:
             raise InputError(f"{self.name}.prior", self.prior, ", ".join(PRIORS))
+        if self.prior.startswith("log-") and self.lower <= 0:
+            allowed = f"above 0 for {self.prior}"
+            raise InputError(f"{self.name}.lower", self.lower, allowed)
         if self.off is not None and not math.isfinite(self.off):
             raise InputError(f"{self.name}.off", self.off, "a finite number")
 

@@ -17,6 +17,7 @@ from .bricks import brick, closed
 from .continuation import PathFollower
 from .control import Options, Outcome, StepFailed
 from .device import LIMITS
+from .effects.acting import act
 from .equilibrium import Workspace
 from .errors import InputError
 from .journey import gauge
@@ -201,7 +202,7 @@ def with_effects(
         if one.stage not in SPECIMEN_STAGES:
             continue
         try:
-            body = one.apply(body, values)  # type: ignore[arg-type]
+            body = act(one, body, values)
         except AttributeError as error:
             # What asks for a device's parts (a channel) is not in a specimen.
             if not isinstance(error.obj, (Body, Mesh)):

@@ -16,6 +16,7 @@ import numpy as np
 
 from datagen.device import MATERIALS, Design
 from datagen.effects import Effect, catalogue
+from datagen.effects.acting import act
 from datagen.equilibrium import Workspace
 from datagen.errors import EffectError, InputError
 from datagen.mesh import LEVELS, MeshLevel
@@ -302,7 +303,7 @@ class Maker:
         for design in self.made.values():
             problem = baseline(design, level)
             for one, values in _in_order(active):
-                problem = one.apply(problem, values)
+                problem = act(one, problem, values)
             response = solve(problem, path, self._workspace)
             self.solved += 1
             if self.progress is not None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from datagen.atomic import TEMPORARY, reason, sync
+from datagen.effects import catalogue
 from datagen.errors import EffectError, FileError, InputError
 
 from .layout import EFFECTS, MODEL, SCHEMA, SCHEMA_VERSION, record
@@ -52,9 +53,14 @@ def write(
             assert source is not None
             (begun / EFFECTS).mkdir()
             for name in own:
-                shutil.copyfile(source / name, begun / EFFECTS / name)
+                copy = begun / EFFECTS / name
+                shutil.copyfile(source / name, copy)
+                if digest(copy) not in version.sources.values():
+                    words = "was changed while it was fitted: adopt again"
+                    raise FileError(source / name, words)
                 sync(begun / EFFECTS / name)
             sync(begun / EFFECTS)
+            catalogue(begun / EFFECTS)  # they have to do without what lay beside them
         content = version.to_json()
         data = {
             "schema": SCHEMA,
@@ -69,6 +75,7 @@ def write(
         os.rename(begun, folder)  # takes the place of an empty folder, too
         sync(folder.parent)
     except OSError as error:
+        vacant(folder)  # written by another meanwhile
         raise FileError(folder, f"cannot be written: {reason(error)}") from error
     finally:
         shutil.rmtree(begun, ignore_errors=True)
@@ -119,6 +126,8 @@ def vacant(folder: Path) -> None:
         raise FileError(folder, "exists already; a version is written to a new folder")
     if not folder.parent.is_dir():
         raise FileError(folder, "its parent folder does not exist")
+    if not os.access(folder.parent, os.W_OK):
+        raise FileError(folder, "its parent folder cannot be written to")
 
 
 def own_files(version: ModelVersion) -> dict[str, str]:

@@ -65,6 +65,17 @@ def record(path: Path, schema: str, version: int, other: str) -> dict[str, Any]:
     return data
 
 
+def seems_version(folder: Path) -> bool:
+    """True for a version, and for a folder whose record cannot be read."""
+    try:
+        data = json.loads((folder / MODEL).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except (OSError, ValueError):
+        return True
+    return isinstance(data, dict) and data.get("schema") == SCHEMA
+
+
 def is_version(folder: Path) -> bool:
     """True for a folder that says it is a model version, whole or not."""
     try:

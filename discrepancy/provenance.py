@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 from datagen.effects import Effect
+from datagen.effects.door import SHA256
 from datagen.errors import EffectError
 
 
@@ -24,6 +25,18 @@ def source_file(effect: Effect) -> Path:
     if file is None or not Path(file).is_file():
         raise EffectError(f"effect {effect.name}: is not written in a file")
     return Path(file)
+
+
+def source_digest(effect: Effect) -> str:
+    """SHA-256 of the file that an effect was loaded from, as it was then.
+
+    Raises
+    ------
+    EffectError
+        When it was not written in a file.
+    """
+    loaded = getattr(effect.change, "__globals__", {}).get(SHA256)
+    return str(loaded) if loaded else digest(source_file(effect))
 
 
 def digest(path: Path) -> str:

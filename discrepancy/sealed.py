@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -131,6 +132,28 @@ def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def check_free(folder: Path) -> None:
+    """Refuse a folder in which a set would replace what it is not.
+
+    What a set that was being written has left is written anew.
+
+    Raises
+    ------
+    FileError
+        When there is a set already, a file of another's, or no place for a folder.
+    """
+    if (folder / MANIFEST).exists():
+        raise FileError(folder, "holds a sealed set already; choose another folder")
+    if (folder / MEASUREMENTS).exists() and not (folder / TRUTH).exists():
+        words = "is there already, and of no sealed set; choose another folder"
+        raise FileError(folder / MEASUREMENTS, words)
+    there = folder
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise FileError(folder, f"cannot be made: {there} is no folder to write to")
+
+
 def seal(folder: Path, measurements: str, truth: Truth) -> dict[str, str]:
     """Write the three files of a set.
 
@@ -152,9 +175,9 @@ def seal(folder: Path, measurements: str, truth: Truth) -> dict[str, str]:
     FileError
         When there is a set already, or the files cannot be written.
     """
-    if (folder / MANIFEST).exists():
-        raise FileError(folder, "holds a sealed set already; choose another folder")
-    contents = {MEASUREMENTS: measurements.encode(), TRUTH: truth.text().encode()}
+    check_free(folder)
+    # The truth first: measurements without it are somebody else's, see `check_free`.
+    contents = {TRUTH: truth.text().encode(), MEASUREMENTS: measurements.encode()}
     sums = {name: _sha256(data) for name, data in contents.items()}
     manifest = json.dumps({"schema": SCHEMA, "sha256": sums}, indent=1) + "\n"
     try:

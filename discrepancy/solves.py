@@ -7,7 +7,6 @@ or killed goes on where it was, and compare, rank and adopt share what they solv
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
 import os
 from collections.abc import Callable, Iterable
@@ -28,6 +27,8 @@ from datagen.errors import FileError, InputError
 from datagen.model import GENERATOR_VERSION, Model
 from datagen.response import Path
 from datagen.specimens import Bulge, Tensile
+
+from .provenance import source_digest
 
 Array = np.ndarray
 Specimen = Design | Bulge | Tensile
@@ -81,7 +82,7 @@ class Solve:
             "kind": type(self.specimen).__name__,
             "effects_dir": None,
             "generator": GENERATOR_VERSION,
-            "sources": [_source(known[name]) for name, _ in self.effects],
+            "sources": [source_digest(known[name]) for name, _ in self.effects],
         }
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -90,13 +91,6 @@ class Solve:
 @lru_cache(maxsize=8)
 def _catalogue(effects_dir: str | None) -> dict[str, Effect]:
     return catalogue(FilePath(effects_dir) if effects_dir else None)
-
-
-def _source(effect: Effect) -> str:
-    """Hash of the file that an effect is written in."""
-    file = inspect.getsourcefile(effect.change)
-    code = FilePath(file).read_bytes() if file else effect.change.__code__.co_code
-    return hashlib.sha256(code).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -179,6 +173,13 @@ def _model(effects: Values, level: str, effects_dir: str | None) -> Model:
     )
     model.__dict__["_workspace"] = _workspace()
     return model
+
+
+def _solve_as(task: Solve, key: str) -> Solved:
+    """Solve in another process, with the effects as they are known by this key."""
+    if task.key != key:
+        raise FileError(task.effects_dir, "an effect in it was changed meanwhile")
+    return solve(task)
 
 
 def solve(task: Solve) -> Solved:
@@ -389,7 +390,8 @@ class Solver:
             for task in missing:
                 keep(task, solve(task))
             return answers
-        futures = {self._executor().submit(solve, task): task for task in missing}
+        pool = self._executor()
+        futures = {pool.submit(_solve_as, task, task.key): task for task in missing}
         for future in as_completed(futures):
             keep(futures[future], future.result())
         return answers

@@ -26,7 +26,7 @@ from datagen.model import GENERATOR_VERSION, Model
 from .ladder import Rung
 from .layout import BASELINE, EFFECTS, SURROGATE
 from .measurement import Measurements, Tolerances
-from .provenance import commit, digest, package, source_file
+from .provenance import commit, package, source_digest, source_file
 
 if TYPE_CHECKING:
     from .adopt import Adoption
@@ -272,7 +272,7 @@ class ModelVersion:
             seed=adoption.seed,
             ladder=adoption.ladder,
             interval=adoption.interval,
-            sources={name: digest(path) for name, path in paths.items()},
+            sources={name: source_digest(known[name]) for name in paths},
             own={n: path.name for n, path in paths.items() if n not in builtin},
             warnings=adoption.warnings,
             generator=GENERATOR_VERSION,
@@ -352,7 +352,7 @@ class ModelVersion:
                 continue
             if name not in known:
                 lines.append(f"effect {name} is not in the catalogue any more")
-            elif digest(source_file(known[name])) != self.sources.get(name):
+            elif source_digest(known[name]) != self.sources.get(name):
                 lines.append(f"effect {name} was written otherwise at the adoption")
         return tuple(lines)
 

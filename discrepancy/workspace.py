@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 from datagen.atomic import TEMPORARY, reason, sync, write_text
 from datagen.errors import FileError, InputError
 
-from .layout import BASELINE, is_version, record
+from .layout import BASELINE, record, seems_version
 
 if TYPE_CHECKING:
     from .version import ModelVersion
@@ -118,11 +118,13 @@ class Workspace:
 
     def _folders(self) -> list[Path]:
         if not self.folder.is_dir():
+            if self.folder.exists():
+                raise FileError(self.folder, "is no folder, and so no workspace")
             return []
         return [
             path
             for path in sorted(self.folder.iterdir())
-            if NAME.fullmatch(path.name) and is_version(path)
+            if NAME.fullmatch(path.name) and seems_version(path)
         ]
 
     def find(self, text: str, field: str = "model") -> Entry:
@@ -170,7 +172,16 @@ class Workspace:
             When it or ``current.json`` cannot be read.
         """
         name = self._history()[-1]
-        return None if name == BASELINE else self.find(name)
+        if name == BASELINE:
+            return None
+        for one in self.entries():
+            if one.name == name and one.version is None:
+                raise FileError(self.folder / name, _why(one))
+            if one.name == name:
+                return one
+        # Not `find`: no other whose id begins so.
+        words = "was in use, and is no version any more; pba models use or undo"
+        raise FileError(self.folder / name, words)
 
     @property
     def current_name(self) -> str:
@@ -236,7 +247,7 @@ class Workspace:
             return name
 
     def undo(self, ready: Ready | None = None) -> str:
-        """Go back to what was in use before; its name.
+        """Go back to what was in use before and is still there; its name.
 
         Parameters
         ----------
@@ -246,7 +257,7 @@ class Workspace:
         Raises
         ------
         FileError, InputError
-            When nothing was, or it is damaged or not there any more.
+            When nothing was, or it is damaged.
         """
         with self._locked():
             history = self._history()
@@ -254,10 +265,17 @@ class Workspace:
                 raise InputError(
                     "undo", history[-1], "a workspace where something was in use before"
                 )
-            if history[-2] != BASELINE:
-                self._usable(history[-2], ready)
-            self._write(history[:-1])
-            return history[-2]
+            left = history[:-1]
+            while left and not self._there(left[-1]):
+                left.pop()  # deleted by hand: what was in use before that
+            left = left or [BASELINE]
+            if left[-1] != BASELINE:
+                self._usable(left[-1], ready)
+            self._write(left)
+            return left[-1]
+
+    def _there(self, name: str) -> bool:
+        return name == BASELINE or os.path.lexists(self.folder / name)
 
     def _usable(self, text: str, ready: Ready | None) -> str:
         """Name of a version that is whole."""
@@ -308,6 +326,8 @@ class Workspace:
                 name,
                 f"a version that is no parent (of {', '.join(children)}), or --force",
             )
+        if not force and self._trained(name):
+            raise InputError("model", name, "a version that is not in training")
         lines = []
         if history[-1] == name:
             lines.append(f"it was in use; the {BASELINE} is in use now")
@@ -329,6 +349,22 @@ class Workspace:
         shutil.rmtree(gone, ignore_errors=True)
         return tuple(lines)
 
+    def _trained(self, name: str) -> bool:
+        """Whether a surrogate is being learned in a version, which holds its folder."""
+        try:
+            folder = os.open(self.folder / name, os.O_RDONLY)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        finally:
+            os.close(folder)
+        return False
+
     def _removable(self, text: str) -> tuple[str, str]:
         """Name and id of a version that may be damaged."""
         if text == BASELINE:
@@ -349,7 +385,10 @@ class Workspace:
             data = record(
                 path, SCHEMA, SCHEMA_VERSION, "does not say which version is in use"
             )
-        except (FileNotFoundError, NotADirectoryError):
+        except NotADirectoryError as error:
+            words = "is no folder, and so no workspace"
+            raise FileError(self.folder, words) from error
+        except FileNotFoundError:
             return [BASELINE]
         before, name = data.get("before"), data.get("current")
         given = [*before, name] if isinstance(before, list) else [None]
@@ -407,6 +446,8 @@ def place(
         When a name in a workspace is not allowed.
     """
     chosen = workspace or default_workspace()
+    if not Path(out).name:
+        raise InputError(field, out, "a name, or the path of a new folder")
     folder = chosen / out if _bare(out) else Path(out)
     if folder.parent.resolve() != chosen.resolve():
         return folder, None
@@ -414,7 +455,8 @@ def place(
         raise InputError(
             field,
             folder.name,
-            f"letters, digits, '.', '_' and '-', not {BASELINE!r} or {CURRENT!r}",
+            "up to 100 letters, digits, '.', '_' and '-', the first a letter or digit, "
+            f"not {BASELINE!r} or {CURRENT!r}",
         )
     return folder, Workspace(folder.parent)
 

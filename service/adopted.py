@@ -17,7 +17,7 @@ from discrepancy.adopt import adopt as fit
 from discrepancy.folder import effects_of, vacant
 from discrepancy.layout import BASELINE, is_version
 from discrepancy.measurement import Measurements
-from discrepancy.provenance import digest, source_file
+from discrepancy.provenance import source_digest
 from discrepancy.solves import Solver
 from discrepancy.study import Study
 from discrepancy.version import ModelVersion
@@ -188,7 +188,7 @@ def made_before(
     chosen = _all(names, parent)
     with effects_of(parent, effects_dir) as own:
         known = catalogue(own)
-        sources = {n: digest(source_file(known[n])) for n in chosen if n in known}
+        sources = {n: source_digest(known[n]) for n in chosen if n in known}
     alike = (
         version.effects == tuple(chosen)
         and version.parent == (BASELINE if parent is None else parent.version)

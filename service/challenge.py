@@ -89,11 +89,10 @@ def challenge_make(
 ) -> None:
     """A sealed set: measurements to hand out, and the truth in a file of its own."""
     from discrepancy.challenge import NOISE, Plan, make, parse_size
-    from discrepancy.sealed import MANIFEST, MEASUREMENTS, TRUTH, seal
+    from discrepancy.sealed import MANIFEST, MEASUREMENTS, TRUTH, check_free, seal
     from discrepancy.writing import measurements_text
 
-    if (out / MANIFEST).exists():  # before minutes are spent
-        raise FileError(out, "holds a sealed set already; choose another folder")
+    check_free(out)  # before minutes are spent
     plan = Plan(
         seed=seed,
         devices=devices,

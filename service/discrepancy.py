@@ -79,7 +79,21 @@ def _report(text: str) -> Path:
     path = Path(text)
     if not path.parent.is_dir() or path.is_dir():
         raise InputError("--report", text, "a file in a folder that exists")
+    if path.exists() and not (path.is_file() and _is_page(path)):
+        raise InputError("--report", text, "a new file, or a page to write anew")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError("--report", text, "a file in a folder that can be written to")
     return path
+
+
+def _is_page(path: Path) -> bool:
+    """Whether a file is HTML, as a report is, or empty; no one's measurements."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(200).lstrip().lower()
+    except OSError:
+        return False
+    return not start or start.startswith((b"<!doctype html", b"<html"))
 
 
 Seed = Annotated[

@@ -199,7 +199,11 @@ def learn(
                 tasks = increment_tasks(first, dataset, level, effects_dir)
                 pool = pool_of(workers, scheduler, executor)
                 seconds = _one_path(tasks, pool, max(workers, 1), means.solve)
-                count = _affordable(minutes, seconds, max(workers, 1))
+                try:
+                    count = _affordable(minutes, seconds, max(workers, 1))
+                except InputError:  # nothing was begun: other minutes may be tried
+                    shutil.rmtree(work, ignore_errors=True)
+                    raise
             begun = begun | {"count": count}
             write_text(work / PLAN, json.dumps(begun, indent=1) + "\n")
         planned = plan(dataset, space, int(begun["count"]), seed, near, fits)
@@ -360,9 +364,10 @@ def _check_same(wanted: Mapping[str, Any], found: Mapping[str, Any], at: Path) -
     """Refuse to go on with what other settings began."""
     for name, value in wanted.items():
         if found.get(name) != value:
+            had = found.get(name)
             begun = (
-                f"{found.get(name)!r}, as {at} was begun with; restart (--restart) "
-                "begins anew"
+                f"{'none' if had is None else repr(had)}, as {at} was begun with; "
+                "restart (--restart) begins anew"
             )
             raise InputError(name, value, begun)
 

@@ -21,6 +21,7 @@ from ..observe import Instruments
 from ..problem import Problem
 from ..response import CONVERGED, OUTPUT_NAMES, Response
 from ..solver import solve
+from .acting import told
 from .door import AUTHORS_ERRORS, Effect
 from .trial import (
     PATH,
@@ -32,7 +33,6 @@ from .trial import (
     differing,
     leaves,
     spelled,
-    told,
 )
 
 Array = np.ndarray

@@ -13,11 +13,13 @@ Built-in effects use the same door as a user's file.
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import inspect
 import pkgutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
@@ -30,23 +32,13 @@ from ..space import Parameter, Space
 ENTRY_POINTS = "pba.effects"
 """Entry-point group of installed packages that bring effects."""
 
-MACHINERY = frozenset({"door", "conformance", "trial"})
+MACHINERY = frozenset({"acting", "door", "conformance", "trial"})
 """Modules of this package that serve effects and hold none."""
 
-AUTHORS_ERRORS = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    NameError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    PbaError,
-)
+SHA256 = "__pba_sha256__"
+"""Name in a user's module of the hash of the file that it was made from."""
+
+AUTHORS_ERRORS = (Exception, SystemExit)
 """What a mistake in an author's code raises; it is told to the author in one line."""
 
 
@@ -172,7 +164,11 @@ def _load_file(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
     try:
-        spec.loader.exec_module(module)
+        code = path.read_bytes()
+        # What is run is what is hashed, though the file may be edited meanwhile.
+        vars(module)[SHA256] = hashlib.sha256(code).hexdigest()
+        with redirect_stdout(sys.stderr):  # what it prints is no part of an answer
+            exec(compile(code, str(path), "exec", dont_inherit=True), vars(module))
     except AUTHORS_ERRORS as error:
         del sys.modules[spec.name]
         what = "" if isinstance(error, PbaError) else f"{type(error).__name__}: "

@@ -8,9 +8,6 @@ a weight that is zero.
 
 from __future__ import annotations
 
-import inspect
-import re
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, fields, is_dataclass
@@ -28,6 +25,7 @@ from ..mesh import MeshLevel, mesh_level
 from ..problem import Problem, baseline
 from ..response import OUTPUT_NAMES, Path, Response
 from ..solver import solve
+from .acting import told
 from .door import AUTHORS_ERRORS, Effect
 
 Array = np.ndarray
@@ -210,16 +208,6 @@ class Subject:
 def spelled(values: Mapping[str, float]) -> str:
     """Parameters and their values, for messages."""
     return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
-
-
-def told(effect: Effect, error: BaseException) -> str:
-    """An error and where in the author's file it came from, in one line."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if f.filename == inspect.getsourcefile(effect.change)]
-    last = (own or frames)[-1]
-    file = re.split(r"[\\/]", last.filename)[-1]
-    what = f"{type(error).__name__}: {error}".rstrip(": ")
-    return f"{what} ({file}, line {last.lineno})"
 
 
 def leaves(value: object, name: str = "") -> Iterator[tuple[str, object]]:

@@ -148,6 +148,14 @@ def test_where_the_coarser_path_ends_its_last_values_are_held(soft: Design) -> N
     assert (far.coarse == 0).all()
 
 
+def test_a_path_that_reaches_nothing_has_no_bounds(model: Model) -> None:
+    """Roof and floor touch before the first load step."""
+    design = named_device("S1")
+    found = model([design], [Path(np.array([-10.0]) * KPA)], mesh_error=True)
+    assert found.path_status == ("contact",)
+    assert found.mesh_error is not None and np.isnan(found.mesh_error).all()
+
+
 def test_a_body_that_fails_at_rest_counts_as_nothing(soft: Design) -> None:
     problem = baseline(soft, COARSER["draft"])
     growth = np.broadcast_to(np.diag([1.0, 1.0, -0.5]), (len(problem.mesh.cells), 3, 3))

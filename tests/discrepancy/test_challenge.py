@@ -190,9 +190,23 @@ def test_a_changed_truth_is_noticed(hidden: Challenge, tmp_path: Path) -> None:
     assert unseal(tmp_path) == hidden.truth
     with pytest.raises(FileError, match="holds a sealed set already"):
         seal(tmp_path, text, hidden.truth)
+    (tmp_path / MANIFEST).unlink()  # as a kill would have left it
+    seal(tmp_path, text, hidden.truth)
     (tmp_path / MANIFEST).write_text("{}")
     with pytest.raises(FileError, match="not the manifest"):
         unseal(tmp_path)
+
+
+def test_nobody_elses_measurements_are_replaced(
+    tmp_path: Path, hidden: Challenge
+) -> None:
+    text = measurements_text(hidden.measurements)
+    (tmp_path / MEASUREMENTS).write_text("mine")
+    with pytest.raises(FileError, match="is there already, and of no sealed set"):
+        seal(tmp_path, text, hidden.truth)
+    assert (tmp_path / MEASUREMENTS).read_text() == "mine"
+    with pytest.raises(FileError, match="no folder to write to"):
+        seal(tmp_path / MEASUREMENTS / "in", text, hidden.truth)
 
 
 def test_a_truth_of_another_schema_is_refused(hidden: Challenge) -> None:

@@ -25,6 +25,7 @@ from discrepancy.ladder import Rung
 from discrepancy.layout import MODEL, is_version
 from discrepancy.version import ModelVersion
 from discrepancy.workspace import CURRENT, LOCK, Workspace, locate, place
+from surrogate.learn import _alone
 from tests.discrepancy.versions import OWN, estimate, own_folder, own_version, version
 
 # -- the record ----------------------------------------------------------------------
@@ -191,6 +192,25 @@ def test_own_effects_travel_with_it(tmp_path: Path) -> None:
         ModelVersion.load(tmp_path / "first")
 
 
+def test_an_effect_that_is_edited_while_it_is_fitted_is_refused(tmp_path: Path) -> None:
+    """What would be copied is not what was fitted."""
+    folder = own_folder(tmp_path / "effects")
+    fitted = own_version(folder)
+    own_folder(folder, OWN + "\n# another\n")
+    with pytest.raises(FileError, match="changed while it was fitted: adopt again"):
+        fitted.save(tmp_path / "first", folder)
+    assert not (tmp_path / "first").exists()
+
+
+def test_an_effect_that_needs_a_file_beside_it_is_refused(tmp_path: Path) -> None:
+    text = "from pathlib import Path\n\nPath(__file__).with_name('t').read_text()\n"
+    folder = own_folder(tmp_path / "effects", OWN + text)
+    (folder / "t").write_text("1")
+    with pytest.raises(EffectError, match="FileNotFoundError"):
+        own_version(folder).save(tmp_path / "first", folder)
+    assert not (tmp_path / "first").exists()
+
+
 def test_own_effects_of_two_folders_act_together(tmp_path: Path) -> None:
     folder = own_folder(tmp_path / "effects")
     parent = own_version(folder).save(tmp_path / "first", folder)
@@ -253,6 +273,38 @@ def test_use_and_undo(home: Workspace) -> None:
         home.undo()
 
 
+def test_what_was_deleted_by_hand_is_no_dead_end(home: Workspace) -> None:
+    identity = home.find("a").version
+    assert identity is not None
+    for name in ("c", "b", "a"):
+        home.use(name)
+    shutil.rmtree(home.folder / "b")
+    assert home.undo() == "c"
+    home.use("a")
+    shutil.rmtree(home.folder / "a")
+    # No other version whose id begins so answers in its place.
+    stand_in = home.folder / identity.version[:6]
+    version(seed=9).save(stand_in)
+    with pytest.raises(FileError, match="a: was in use, and is no version any more"):
+        home.current()
+    assert home.undo() == "c"
+
+
+def test_a_version_in_training_stays(home: Workspace) -> None:
+    training = _alone(home.folder / "c" / "surrogate")
+    with training, pytest.raises(InputError, match="not in training"):
+        home.remove("c")
+    home.remove("c")
+
+
+def test_a_file_is_no_workspace(tmp_path: Path) -> None:
+    (tmp_path / "lab").write_text("")
+    home = Workspace(tmp_path / "lab")
+    for act in (home.current, home.entries, lambda: home.find("a")):
+        with pytest.raises(FileError, match="lab: is no folder, and so no workspace"):
+            act()
+
+
 def test_remove_keeps_what_is_needed(home: Workspace) -> None:
     for name in ("b", "c", "b", "a"):
         home.use(name)
@@ -286,8 +338,7 @@ def test_nothing_comes_into_use_that_is_not_ready(home: Workspace) -> None:
             act()
         assert home.current_name == "b"
     shutil.rmtree(home.folder / "a")
-    with pytest.raises(InputError, match="'a'"):
-        home.undo()
+    assert home.undo() == "baseline"
 
 
 def _changes(folder: Path, seed: int, start: Any) -> None:
@@ -335,6 +386,10 @@ def test_a_damaged_version_is_listed_and_can_be_removed(home: Workspace) -> None
         home.use("c")
     home.remove("c")
     assert [one.name for one in home.entries()] == ["b", "a"]
+    (home.folder / "a" / MODEL).write_text('{"schema": "pba-mo')
+    assert [one.name for one in home.entries()] == ["b", "a"]
+    with pytest.raises(FileError, match="damaged"):
+        home.find("a")
 
 
 @pytest.mark.parametrize(
@@ -363,7 +418,7 @@ def test_where_a_version_goes(home: Workspace, tmp_path: Path) -> None:
     new = home.folder / "new"  # beside versions, but not of the chosen workspace
     assert place(str(new), other) == (new, None)
     assert place(str(new), home.folder) == (new, home)
-    for name in ("baseline", ".x", "a b", CURRENT):
+    for name in ("baseline", ".x", "a b", CURRENT, "", ".", 101 * "x"):
         with pytest.raises(InputError, match="--out"):
             place(name, home.folder)
 

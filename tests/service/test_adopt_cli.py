@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from datagen.atomic import write_text
+from datagen.errors import FileError
 from discrepancy.folder import read
 from discrepancy.workspace import Workspace
 from discrepancy.writing import write_measurements
@@ -258,6 +261,7 @@ def test_an_effect_that_was_rewritten_is_another_fit(pba: Any, tmp_path: Path) -
         (("mullins", "effect.csv", "--on", "nothing"), "nothing"),
         (("cure", "effect.csv", "--on", "baseline"), "'cure' is unknown"),
         (("mullins", "effect.csv", "--report", "no/where.html"), "--report"),
+        (("mullins", "effect.csv", "--report", "effect.csv"), "a new file, or a page"),
         (("mullins", "effect.csv", "--out", "baseline"), "--out: 'baseline'"),
         (("mullins", "effect.csv", "--out", "no/where/m"), "parent folder"),
         (("mullins", "effect.csv", "--out", "./effects"), "exists already"),
@@ -267,6 +271,18 @@ def test_bad_input_is_one_line(pba: Any, words: tuple[str, ...], says: str) -> N
     status, out, err = pba("adopt", "--out", "new", "--json", *words)
     assert (status, out, err.count("\n")) == (2, "", 1) and says in err
     assert not Path("new").exists() and not Path("pba-models/new").exists()
+
+
+def test_a_report_replaces_files_alone(pba: Any, tmp_path: Path) -> None:
+    """Not a pipe or a device, which a rename would end."""
+    pipe = tmp_path / "pipe.html"
+    os.mkfifo(pipe)
+    words = ("mullins", "effect.csv", "--out", "new", "--report", str(pipe))
+    status, _, err = pba("adopt", *words)
+    assert status == 2 and "a new file, or a page" in err
+    with pytest.raises(FileError, match="is there, and no file"):
+        write_text(pipe, "a page")
+    assert pipe.is_fifo()
 
 
 def test_a_file_is_needed(pba: Any) -> None:
