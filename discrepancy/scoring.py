@@ -78,11 +78,14 @@ class Answer:
     groups : tuple of frozenset of str
         Sets of effects that the verdict speaks of: one, or those that are tied.
     claims : tuple of Claim
+    file_sha256 : str
+        Of the measurements that were ranked; empty where the answer does not say.
     """
 
     verdict: str
     groups: tuple[frozenset[str], ...]
     claims: tuple[Claim, ...]
+    file_sha256: str = ""
 
 
 @dataclass(frozen=True)
@@ -244,7 +247,7 @@ def answer_from(content: Any) -> Answer:
     total = sum(one.probability for one in claims)
     if total > 1.01:
         raise ValueError(f"ranking: probabilities add up to {total:.4g}, more than 1")
-    return Answer(verdict, groups, claims)
+    return Answer(verdict, groups, claims, str(content.get("file_sha256") or ""))
 
 
 def _names(given: Any, where: str) -> tuple[frozenset[str], bool]:

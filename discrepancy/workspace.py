@@ -328,7 +328,7 @@ class Workspace:
             )
         if not force and self._trained(name):
             raise InputError("model", name, "a version that is not in training")
-        lines = []
+        lines = [] if text == name else [f"its folder was {name}"]
         if history[-1] == name:
             lines.append(f"it was in use; the {BASELINE} is in use now")
             history.append(BASELINE)

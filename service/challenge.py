@@ -138,8 +138,9 @@ def challenge_score(
     as_json: AsJson = False,
 ) -> None:
     """Whether answers are right: verdict, probability of the truth, parameters."""
+    from discrepancy.provenance import digest
     from discrepancy.scoring import read_answer, score, summarise
-    from discrepancy.sealed import unseal
+    from discrepancy.sealed import MEASUREMENTS, unseal
 
     if len(files) % 2:
         given = " ".join(str(file) for file in files)
@@ -147,6 +148,9 @@ def challenge_score(
     scores = []
     for folder, file in zip(files[::2], files[1::2], strict=True):
         truth, answer = unseal(folder), read_answer(file)
+        if answer.file_sha256 not in ("", digest(folder / MEASUREMENTS)):
+            words = f"is an answer to other measurements than {folder / MEASUREMENTS}"
+            raise FileError(file, words)
         try:
             scores.append(score(truth, answer, str(folder)))
         except ValueError as error:

@@ -163,7 +163,7 @@ def models_train(
     """
     from .discrepancy import cores
     from .surrogates import about, lines, train
-    from .terminal import duration, progress_bar
+    from .terminal import Stopped, duration, progress_bar
 
     version = _version(name, workspace)
     if version is None:
@@ -176,15 +176,20 @@ def models_train(
             note = "" if left is None else f"{duration(left)} left"
             bar.update(shown, description=stage, completed=done, total=total, note=note)
 
-        made = train(
-            version,
-            minutes=minutes,
-            paths=paths,
-            seed=seed,
-            workers=workers or cores(),
-            restart=uuid.uuid4().hex if restart else "",
-            report=update,
-        )
+        try:
+            made = train(
+                version,
+                minutes=minutes,
+                paths=paths,
+                seed=seed,
+                workers=workers or cores(),
+                restart=uuid.uuid4().hex if restart else "",
+                report=update,
+            )
+        except KeyboardInterrupt as stop:
+            raise Stopped(
+                "interrupted; finished paths are kept, and the same command goes on"
+            ) from stop
     seconds = time.perf_counter() - start
     if as_json:
         print_json(about(made) | {"seconds": seconds})

@@ -230,11 +230,15 @@ def test_the_command_complains_in_one_line(
     folder = sealed_folder(tmp_path / "set", ONE)
     file = tmp_path / "answer.json"
     file.write_text("{")
+    other = tmp_path / "other.json"
+    answer = {"verdict": "adequate", "effects": [], "ranking": []}
+    other.write_text(json.dumps(answer | {"file_sha256": "0" * 64}))
     make = ["challenge", "make"]
     for arguments, words in (
         (["challenge", "score", str(folder)], "pairs of a folder and an answer"),
         (["challenge", "score", str(folder), str(file)], "not JSON"),
         (["challenge", "score", str(tmp_path), str(file)], "manifest.json: cannot be"),
+        (["challenge", "score", str(folder), str(other)], "to other measurements than"),
         ([*make, str(folder), "--seed", "1"], "holds a sealed set already"),
         ([*make, str(tmp_path / "a"), "--seed", "x"], "--seed: 'x'"),
         ([*make, str(tmp_path / "a"), "--seed", "1", "--noise", "heat=1"], "--noise"),

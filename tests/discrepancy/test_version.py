@@ -290,6 +290,12 @@ def test_what_was_deleted_by_hand_is_no_dead_end(home: Workspace) -> None:
     assert home.undo() == "c"
 
 
+def test_what_is_removed_by_its_id_is_named(home: Workspace) -> None:
+    one = home.find("c").version
+    assert one is not None
+    assert home.remove(one.version) == ("its folder was c",)
+
+
 def test_a_version_in_training_stays(home: Workspace) -> None:
     training = _alone(home.folder / "c" / "surrogate")
     with training, pytest.raises(InputError, match="not in training"):

@@ -12,6 +12,7 @@ import pytest
 from discrepancy.layout import MODEL
 from discrepancy.version import ModelVersion
 from discrepancy.workspace import Workspace
+from service import surrogates
 from service.cli import main
 from tests.discrepancy.versions import version
 
@@ -102,6 +103,20 @@ def test_show(pba: Any, home: Workspace) -> None:
     ):
         assert text in out, text
     assert "without adopted effects" in pba("models", "show", "baseline")[1]
+
+
+def test_a_training_that_is_stopped_says_that_it_goes_on(
+    pba: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_args: Any, **_given: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(surrogates, "train", stopped)
+    status, out, err = pba("models", "train", "first", "--json")
+    assert (status, out) == (130, "")
+    assert err == (
+        "pba: interrupted; finished paths are kept, and the same command goes on\n"
+    )
 
 
 def test_diff(pba: Any) -> None:
