@@ -13,7 +13,7 @@ from datagen.effects import catalogue
 from datagen.errors import FileError
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.paths import RESTED, Paths
-from discrepancy.solves import Solver
+from discrepancy.solves import Solver, _solve_as
 from discrepancy.study import Study
 
 LOAD = np.array([10e3, 20e3, 10e3])
@@ -103,3 +103,10 @@ def test_a_cache_that_cannot_be_kept_is_told_before_the_solve(tmp_path: Path) ->
         FileError, match=r"taken: solves cannot be kept here: .*--cache"
     ):
         Solver(1, taken).all([paths(FIRST).task(0, "draft")])
+
+
+def test_a_worker_refuses_another_effect_than_it_was_sent_for(tmp_path: Path) -> None:
+    """Its file was edited between the start of a run and that of a worker."""
+    task = paths(FIRST).task(0, "draft")
+    with pytest.raises(FileError, match="an effect in it was changed meanwhile"):
+        _solve_as(replace(task, effects_dir=str(tmp_path)), "another key")

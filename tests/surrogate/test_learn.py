@@ -314,6 +314,7 @@ def test_time_budget(
     monkeypatch.setattr(learning, "_one_path", lambda *_: 60.0)
     with pytest.raises(InputError, match=r"at least 22\.9: a path takes 60 s"):
         learn(base, dataset, ("tilt",), {}, tmp_path / "n", **settings)  # type: ignore[arg-type]
+    assert not (tmp_path / "n.work").exists()  # those minutes can be asked for now
 
 
 def test_a_path_is_timed_beside_others_once_the_workers_run() -> None:
