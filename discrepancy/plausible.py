@@ -20,8 +20,8 @@ SMALLEST_TOP = {"pressure": 500.0, "inflation": 1e-6}
 """Pa and m.  A file whose largest value is smaller was hardly written in our unit."""
 
 STRESS_FACTOR = 100.0
-"""Between a stress and what the stated modulus makes expect, either way.  The stiffest
-rubbers at the end of their chains reach some 20, and the middle of a test far less."""
+"""Between a stress and what the stated modulus makes expect, either way; far more than
+rubbers stiffen over the greater part of a test, and a tenth of the least slip of unit."""
 
 STRAINED = 0.02
 """Strain from which on a stress tells something of its unit."""
