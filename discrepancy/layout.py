@@ -65,21 +65,15 @@ def record(path: Path, schema: str, version: int, other: str) -> dict[str, Any]:
     return data
 
 
-def seems_version(folder: Path) -> bool:
-    """True for a version, and for a folder whose record cannot be read."""
+def is_version(folder: Path) -> bool:
+    """True for a folder that says it is a model version, whole or not.
+
+    Also where its record cannot be read: what is there is told, not passed over.
+    """
     try:
         data = json.loads((folder / MODEL).read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         return False
     except (OSError, ValueError):
         return True
-    return isinstance(data, dict) and data.get("schema") == SCHEMA
-
-
-def is_version(folder: Path) -> bool:
-    """True for a folder that says it is a model version, whole or not."""
-    try:
-        data = json.loads((folder / MODEL).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
     return isinstance(data, dict) and data.get("schema") == SCHEMA

@@ -20,8 +20,8 @@ SMALLEST_TOP = {"pressure": 500.0, "inflation": 1e-6}
 """Pa and m.  A file whose largest value is smaller was hardly written in our unit."""
 
 STRESS_FACTOR = 100.0
-"""Between a stress and what the stated modulus makes expect, either way; far more than
-rubbers stiffen over the greater part of a test, and a tenth of the least slip of unit."""
+"""Between a stress and what the stated modulus makes expect, either way.  Far more than
+rubbers stiffen over the greater part of a test, far less than kPa for MPa."""
 
 STRAINED = 0.02
 """Strain from which on a stress tells something of its unit."""

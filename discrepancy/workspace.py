@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 from datagen.atomic import TEMPORARY, reason, sync, write_text
 from datagen.errors import FileError, InputError
 
-from .layout import BASELINE, record, seems_version
+from .layout import BASELINE, is_version, record
 
 if TYPE_CHECKING:
     from .version import ModelVersion
@@ -124,7 +124,7 @@ class Workspace:
         return [
             path
             for path in sorted(self.folder.iterdir())
-            if NAME.fullmatch(path.name) and seems_version(path)
+            if NAME.fullmatch(path.name) and is_version(path)
         ]
 
     def find(self, text: str, field: str = "model") -> Entry:

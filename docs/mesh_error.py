@@ -32,7 +32,7 @@ from .mesh_error_cases import (
     solve_all,
     stand_in_errors,
 )
-from .refine import QUANTITIES, settled
+from .refine import PRESSURES, QUANTITIES, settled
 from .refine import RUNS as SETTLED
 
 Array = np.ndarray
@@ -286,6 +286,7 @@ def page(cases: Cases, published: Cases, left_out: list[str]) -> str:
         rows.append([level, other.name, f"{np.median(here):.1f}", f"{share:.0%}"])
     head = ["mesh", "compared with", "path, s", "bound, share of it"]
     lines += [*table(head, rows), "", "Medians, on a shared core.", ""]
+    lines += ["## The published device", "", *published_section(published), ""]
     lines += ["## The fine mesh", "", *fine_section(cases, published), ""]
     lines += ["## Left out", ""]
     lines += [f"- {words}" for words in left_out] or ["No design was left out."]
@@ -321,6 +322,32 @@ def worst_section(cases: Cases) -> list[str]:
         f"Median over designs: {middle['draft']:.1f} % on the draft mesh, "
         f"{middle['standard']:.1f} % on the standard one."
     )
+    return [words, "", *table(head, rows)]
+
+
+def published_section(published: Cases) -> list[str]:
+    """How far each mesh is from the settled answer."""
+    if len(published) < len(PUBLISHED):
+        return ["S1 is not solved yet; there the answer is settled."]
+    runs = json.loads(SETTLED.read_text())
+    rows = []
+    for row, case in enumerate(PUBLISHED.values()):
+        for quantity, short in QUANTITIES.items():
+            value, bar = settled(runs, case, short)
+            percent = 100 / np.abs(value).max()
+            i = OUTPUT_NAMES.index(quantity)
+            off = [
+                np.abs(1e6 * published.values[level][row, :, i] - value).max()
+                for level in LEVELS
+            ]
+            shown = [f"{percent * one:.2f}" for one in (*off, bar.max())]
+            rows.append([f"S1 case {case}", short, *shown])
+    words = (
+        "Largest distance from the converged answer ([refinement.md](refinement.md)), "
+        f"{PRESSURES[0]:g} to {PRESSURES[-1]:g} kPa, in percent of the largest amount; "
+        "last the error bar of the converged answer itself."
+    )
+    head = ["device", "output", *(f"{level}, %" for level in LEVELS), "its bar, %"]
     return [words, "", *table(head, rows)]
 
 

@@ -63,26 +63,24 @@ def act(effect: Effect, body: B, values: Mapping[str, float]) -> B:
         if asked and not isinstance(body, Problem):
             raise
         raise EffectError(f"effect {effect.name}: {told(effect, error)}") from error
-    fault = _fault(body, found, given)
-    if fault:
+    wrong = fault(body, found)
+    if wrong:
         at = ", ".join(f"{name}={value:.6g}" for name, value in full.items())
-        raise EffectError(f"effect {effect.name}: {fault}, at {at}")
+        raise EffectError(f"effect {effect.name}: {wrong}, at {at}")
     return _sharing(cast("B", found), given, copies)
 
 
-def _fault(body: Body, found: object, given: Mapping[str, Array]) -> str:
-    """Why what came back is no such problem, or nothing."""
+def fault(body: Body, found: object) -> str:
+    """Why what came back from an effect is no such problem, or nothing."""
     if type(found) is not type(body):
         return f"gives a {type(found).__name__}, not a {type(body).__name__}"
     assert isinstance(found, Body)
     if found.mesh is not body.mesh:
         return "the mesh is another one; move its points by `nodes` instead"
     for one in fields(found):
-        value = getattr(found, one.name)
-        if one.name in given and np.shape(value) != given[one.name].shape:
-            return f"{one.name} has shape {np.shape(value)}, not " + str(
-                given[one.name].shape
-            )
+        was, value = getattr(body, one.name), getattr(found, one.name)
+        if isinstance(was, np.ndarray) and np.shape(value) != was.shape:
+            return f"{one.name} has shape {np.shape(value)}, not {was.shape}"
         if isinstance(value, np.ndarray | float) and not np.isfinite(value).all():
             return f"{one.name} is not finite"
     return ""

@@ -21,7 +21,7 @@ from ..observe import Instruments
 from ..problem import Problem
 from ..response import CONVERGED, OUTPUT_NAMES, Response
 from ..solver import solve
-from .acting import told
+from .acting import fault, told
 from .door import AUTHORS_ERRORS, Effect
 from .trial import (
     PATH,
@@ -183,9 +183,9 @@ def topology(subject: Subject) -> Finding:
     for values in (subject.middle, *subject.corners):
         given = subject.ground.problem()
         changed = subject.effect.apply(given, values)
-        fault = _fault(given, changed)
-        if fault:
-            return Finding(False, f"{fault}, at {spelled(values)}", {})
+        wrong = _fault(given, changed)
+        if wrong:
+            return Finding(False, f"{wrong}, at {spelled(values)}", {})
     return Finding(True, "mesh, shapes and symmetry are kept, all is finite", {})
 
 
@@ -368,10 +368,9 @@ def _end(response: Response) -> str:
 
 def _fault(given: Problem, changed: Problem) -> str:
     """What an effect has done to a problem that it must not, or nothing."""
-    if not isinstance(changed, Problem):
-        return f"gives a {type(changed).__name__}, not a Problem"
-    if changed.mesh is not given.mesh:
-        return "the mesh is another one; move its points by `nodes` instead"
+    wrong = fault(given, changed)
+    if wrong:
+        return wrong
     if changed.design is not given.design:
         return "the design is another one; outputs are read by its sizes"
     before = dict(leaves(given))

@@ -94,7 +94,10 @@ class Effect:
         return self.off | {n: self.space[n].check(v) for n, v in values.items()}
 
     def apply(self, problem: Problem, values: Mapping[str, float]) -> Problem:
-        """The problem with this effect in it; the same object at `off`."""
+        """The problem with this effect in it; the same object at `off`.
+
+        Bare, as its author wrote it, for the checks; models use `acting.act`.
+        """
         full = self.check(values)
         return problem if full == self.off else self.change(problem, **full)
 
