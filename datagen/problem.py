@@ -1,22 +1,9 @@
 """One boundary-value problem, frozen; its fields are what effects may change.
 
-Stages are applied in the order of `STAGES`, each to its own fields:
-
-==============  ==========================================================
-stage           fields
-==============  ==========================================================
-geometry        nodes: the device as it was made, straight
-initial shape   nodes, datum: how it lies without any load
-material        laws, shear_modulus, bulk_modulus, skins
-initial strain  growth, swellings
-body force      density, gravity
-boundary        fixed, springs
-load            pressure_gain, pressure_offset, gas
-observation     observers
-==============  ==========================================================
-
-An effect that acts on the fields of two stages, as a change of temperature does on
-stiffness and growth, belongs to the later one.
+Stages are applied in the order of `STAGES`, each to its own `FIELDS`: nodes are moved
+in the first for the device as it was made, straight, and in the second for how it lies
+without any load.  An effect that acts on the fields of two stages, as a change of
+temperature does on stiffness and growth, belongs to the later one.
 """
 
 from __future__ import annotations
@@ -34,16 +21,19 @@ from .surfaces import Skin, Springs
 
 Array = np.ndarray
 
-STAGES = (
-    "geometry",
-    "initial shape",
-    "material",
-    "initial strain",
-    "body force",
-    "boundary",
-    "load",
-    "observation",
-)
+FIELDS = {
+    "geometry": ("nodes", "thin"),
+    "initial shape": ("nodes", "datum"),
+    "material": ("laws", "shear_modulus", "bulk_modulus", "skins"),
+    "initial strain": ("growth", "swellings"),
+    "body force": ("density", "gravity"),
+    "boundary": ("fixed", "springs"),
+    "load": ("pressure_gain", "pressure_offset", "gas", "forces"),
+    "observation": ("observers",),
+}
+"""Fields of the problem that each stage is there to change."""
+
+STAGES = tuple(FIELDS)
 """The fixed order in which effects act, whatever the order they are named in."""
 
 Swelling = Callable[[float], float]

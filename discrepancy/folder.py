@@ -183,20 +183,20 @@ def effects_of(
     EffectError
         When a folder is missing, or the two have files of one name that differ.
     """
-    folders = [effects_dir, None if parent is None else parent.effects_dir]
-    given = [one for one in folders if one is not None]
-    if len(given) < 2:
-        yield given[0] if given else None
+    if parent is None or parent.effects_dir is None or effects_dir is None:
+        yield effects_dir or (None if parent is None else parent.effects_dir)
         return
     with TemporaryDirectory(prefix="pba-effects-") as both:
-        for folder in given:
+        for folder in (parent.effects_dir, effects_dir):
             if not folder.is_dir():
                 raise EffectError(f"{folder}: no such folder of effects")
             for file in sorted(folder.glob("*.py")):
                 copy = Path(both) / file.name
                 if copy.exists() and copy.read_bytes() != file.read_bytes():
                     raise EffectError(
-                        f"{file}: another file of this name is in {given[0]}"
+                        f"{file}: differs from what version {parent.version} adopted; "
+                        "leave that version out, or give the other effect a file and a "
+                        "name of its own"
                     )
                 shutil.copyfile(file, copy)
         yield Path(both)

@@ -17,6 +17,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from datagen.effects import Effect, catalogue
+from datagen.effects.door import without_effects
 from datagen.errors import EffectError, InputError
 from datagen.specimens import Tensile
 
@@ -118,6 +119,9 @@ class Study:
         self._nodes: dict[tuple[tuple[str, ...], tuple[float, ...]], Node] = {}
         self._present: dict[tuple[str, ...], tuple[int, Present]] = {}
         self._read()
+        if effects_dir is not None:
+            lost = [path.name for path in without_effects(effects_dir)]
+            self.warnings += [f"{name}: declares no effect" for name in lost]
 
     def with_readings(self, readings: Readings) -> Study:
         """The same solves under other readings of the same curves."""
@@ -260,6 +264,9 @@ class Study:
 
     def blind(self, name: str) -> str:
         """Why these readings cannot show an effect, empty where they may."""
+        for p in self.paths.traits.known[name].parameters:
+            if p.scale == "integer":
+                return f"its {p.name} is a whole number, which cannot be fitted"
         curves = self.measurements.curves
         timeless = [curve for curve in curves if curve.time is None]
         if not timeless or not self.paths.traits.timed(name):

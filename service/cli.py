@@ -11,7 +11,7 @@ import io
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -155,7 +155,7 @@ def solve(
         from .terminal import sensitivity_table
 
         print_rich(sensitivity_table(lists))
-    _show_version(version)
+    _show_version(version, parse_effects(effect))
 
 
 @app.command()
@@ -480,9 +480,16 @@ def _design(device: str, case: int, settings: Sequence[str]) -> Design:
     return design_from_bench(parse_settings(settings), device, case)
 
 
-def _show_version(version: ModelVersion | None) -> None:
-    if version is not None:
-        print(f"Model version {version.version} with {', '.join(version.effects)}.")
+def _show_version(version: ModelVersion | None, more: Collection[str] = ()) -> None:
+    """Which version it was, and what was set beside it."""
+    if version is None:
+        return
+    words = f"Model version {version.version} with {', '.join(version.effects)}"
+    added = [name for name in more if name not in version.effects]
+    other = [name for name in more if name in version.effects]
+    words += f"; {', '.join(added)} on top of it" if added else ""
+    words += f"; values of {', '.join(other)} as given" if other else ""
+    print(f"{words}.")
 
 
 def _show_path(lists: Mapping[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,8 +25,11 @@ effects_app = typer.Typer(help="The catalogue of effects.", no_args_is_help=True
 def effects_list(effects_dir: EffectsDir = None, as_json: AsJson = False) -> None:
     """Every effect, with its stage and parameters."""
     from datagen.effects import catalogue
+    from datagen.effects.door import without_effects
 
     rows = [_row(effect) for effect in catalogue(effects_dir).values()]
+    for path in without_effects(effects_dir) if effects_dir else ():
+        print(f"{path}: declares no effect", file=sys.stderr)
     if as_json:
         print_json({"effects": rows})
         return
@@ -63,23 +67,29 @@ def effects_show(
 def effects_check(
     file: Annotated[
         str,
-        Argument(metavar="FILE", help="A file with effects, or an effect's name."),
+        Argument(
+            metavar="FILE",
+            help="A file with effects, a folder of such files, or an effect's name.",
+        ),
     ],
     effects_dir: EffectsDir = None,
     as_json: AsJson = False,
 ) -> None:
-    """Whether the effects of a file, or a named one, keep to the rules of an effect.
+    """Whether effects, those of a file or one by name, keep to the rules of an effect.
 
     Exit status 0 when all checks passed, 1 when some failed, 2 when there is no
     effect to check.
     """
     from datagen.effects.conformance import check
-    from datagen.effects.door import effects_of_file
+    from datagen.effects.door import effects_of_file, effects_of_folder
     from datagen.effects.trial import Ground
 
     path = Path(file)
     named = not path.exists() and path.suffix != ".py" and path.name == file
-    effects = [_named(file, effects_dir)] if named else effects_of_file(path)
+    if named:
+        effects = [_named(file, effects_dir)]
+    else:
+        effects = effects_of_folder(path) if path.is_dir() else effects_of_file(path)
     ground = Ground()
     reports = []
     for effect in effects:

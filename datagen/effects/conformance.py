@@ -18,7 +18,7 @@ from ..device import Design
 from ..equilibrium import Equilibrium
 from ..mesh import MeshLevel
 from ..observe import Instruments
-from ..problem import Problem
+from ..problem import FIELDS, STAGES, Problem
 from ..response import CONVERGED, OUTPUT_NAMES, Response
 from ..solver import solve
 from .acting import fault, told
@@ -125,6 +125,28 @@ def documented(subject: Subject) -> Finding:
         lacks.insert(0, "the docstring has no equation (no line with '=')")
     words = "; ".join(lacks) or "equation, units and sources are there"
     return Finding(not lacks, words, {"lacking": len(lacks)})
+
+
+def stage(subject: Subject) -> Finding:
+    """It changes what its stage is there for, and nothing that belongs to a later one.
+
+    Effects act in the order of their stages, and only some stages act on specimens.
+    """
+    own = subject.effect.stage
+    until = STAGES[: STAGES.index(own) + 1]
+    changed: set[str] = set()
+    for values in (subject.middle, *subject.corners):
+        given = subject.ground.problem()
+        changed |= _changed(given, subject.effect.apply(given, values))
+    early = changed.difference(*(FIELDS[one] for one in until))
+    words = f"changes {', '.join(sorted(changed)) or 'nothing'}"
+    if early:
+        last = next(one for one in reversed(STAGES) if early & {*FIELDS[one]})
+        words += f"; {', '.join(sorted(early))} is for stage {last!r}, not {own!r}"
+    elif changed and not changed & {*FIELDS[own]}:
+        words += f", but not what stage {own!r} is for: {', '.join(FIELDS[own])}"
+        early = changed
+    return Finding(not early, words, {"misplaced": len(early)})
 
 
 def off(subject: Subject) -> Finding:
@@ -313,6 +335,7 @@ CHECKS: tuple[Check, ...] = (
     off,
     pure,
     topology,
+    stage,
     continuous,
     finite,
     moves,
@@ -390,6 +413,25 @@ def _fault(given: Problem, changed: Problem) -> str:
     if np.abs(aside).max() > 1e-9 * changed.thin:
         return "nodes of the plane of symmetry are moved out of it"
     return ""
+
+
+def _changed(given: Problem, changed: Problem) -> set[str]:
+    """Fields of the stages that are not what they were; of a tuple, its parts."""
+
+    def same(was: object, value: object) -> bool:
+        if isinstance(was, np.ndarray) and isinstance(value, np.ndarray):
+            return np.array_equal(was, value)
+        if isinstance(was, tuple) and isinstance(value, tuple):
+            alike = (a is b for a, b in zip(was, value, strict=False))
+            return len(was) == len(value) and all(alike)
+        return was is value or (isinstance(was, float) and was == value)
+
+    return {
+        name
+        for names in FIELDS.values()
+        for name in names
+        if not same(getattr(given, name), getattr(changed, name))
+    }
 
 
 def _directions(state: State) -> list[tuple[str, Array]]:

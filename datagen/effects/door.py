@@ -38,6 +38,8 @@ MACHINERY = frozenset({"acting", "door", "conformance", "trial"})
 SHA256 = "__pba_sha256__"
 """Name in a user's module of the hash of the file that it was made from."""
 
+NOTHING_DECLARED = "declares no effect; see docs/writing-an-effect.md"
+
 AUTHORS_ERRORS = (Exception, SystemExit)
 """What a mistake in an author's code raises; it is told to the author in one line."""
 
@@ -192,11 +194,41 @@ def effects_of_file(path: Path) -> list[Effect]:
     known = catalogue()
     own = [e for e in _effects_in(_load_file(path)) if known.get(e.name) is not e]
     if not own:
-        raise EffectError(f"{path}: declares no effect; see docs/writing-an-effect.md")
+        raise EffectError(f"{path}: {NOTHING_DECLARED}")
     for one in own:
         if one.name in known:
             raise EffectError(f"{path}: an effect named {one.name!r} exists already")
     return own
+
+
+def effects_of_folder(folder: Path) -> list[Effect]:
+    """The effects that the files of a user's folder declare.
+
+    Raises
+    ------
+    EffectError
+        When a file cannot be run or declares none, or a name is taken twice.
+    """
+    lost = without_effects(folder)
+    if lost:
+        raise EffectError(f"{lost[0]}: {NOTHING_DECLARED}")
+    known = catalogue()
+    own = [e for e in catalogue(folder).values() if known.get(e.name) is not e]
+    if not own:
+        raise EffectError(f"{folder}: no file of effects in it")
+    return own
+
+
+def without_effects(folder: Path) -> list[Path]:
+    """Files of a folder of effects that declare none: a forgotten decorator, perhaps.
+
+    Raises
+    ------
+    EffectError
+        When one cannot be run.
+    """
+    files = sorted(folder.glob("*.py"))
+    return [path for path in files if not _effects_in(_load_file(path))]
 
 
 def catalogue(effects_dir: Path | None = None) -> dict[str, Effect]:

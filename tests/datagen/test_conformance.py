@@ -95,7 +95,7 @@ def flickers(problem: Problem, size: float) -> Problem:
     return replace(problem, observers=(*problem.observers, camera))
 
 
-@effect("material", [SIZE])
+@effect("body force", [SIZE])
 def sideways(problem: Problem, size: float) -> Problem:
     """E = E0 (1 + size), g_y = 1: of a body without mass."""
     return replace(stiffer(problem, 1 + size), gravity=np.array([0.0, 1.0, 0.0]))
@@ -118,6 +118,18 @@ def undefined(problem: Problem, size: float) -> Problem:
     """E = E0 (1 + size), rho = 0/0: of a body without gravity."""
     density = np.full_like(problem.density, np.nan)
     return replace(stiffer(problem, 1 + size), density=density)
+
+
+@effect("geometry", [SIZE])
+def too_early(problem: Problem, size: float) -> Problem:
+    """E = E0 (1 + size), before the stage at which others make laws and moduli."""
+    return stiffer(problem, 1 + size)
+
+
+@effect("observation", [SIZE])
+def too_late(problem: Problem, size: float) -> Problem:
+    """E = E0 (1 + size), as if a camera saw it."""
+    return stiffer(problem, 1 + size)
 
 
 @effect("material", [SIZE])
@@ -237,6 +249,7 @@ BROKEN: dict[str, tuple[Effect, str]] = {
     "off": (Unguarded(**vars(almost_off)), "differ from the baseline's by"),
     "pure": (writes, "writes into the given problem: shear_modulus"),
     "topology": (sideways, "gravity has a part along y"),
+    "stage": (too_early, "shear_modulus is for stage 'material', not 'geometry'"),
     "continuous": (jumps, "jumps: it changes by"),
     "finite": (collapses, "no path at size = 1: "),
     "moves": (weightless, "no output changes"),
@@ -262,6 +275,7 @@ def test_a_broken_effect_fails_exactly_its_check(name: str, ground: Ground) -> N
         ("topology", meshed_anew, "the mesh is another one"),
         ("topology", misshapen, "density has shape"),
         ("topology", undefined, "density is not finite"),
+        ("stage", too_late, "but not what stage 'observation' is for: observers"),
         ("continuous", jumps_a_little, "bending_angle jumps"),
         ("finite", inverts, "is inverted (elements.py, line"),
         ("finite", gives_way, "the path turns at 0."),

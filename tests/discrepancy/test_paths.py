@@ -13,6 +13,7 @@ from datagen.effects import catalogue
 from datagen.errors import FileError
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.paths import RESTED, Paths
+from discrepancy.rank import Search
 from discrepancy.solves import Solver, _solve_as
 from discrepancy.study import Study
 
@@ -70,6 +71,34 @@ def test_effects_of_time_need_a_time_in_every_curve(tmp_path: Path) -> None:
     study = Study(measured, solver, level="draft", effects=("yeoh",))
     assert "device B, run 1, has none" in study.blind("viscoelasticity")
     assert study.blind("mullins") == ""
+
+
+COUNTED = """
+from dataclasses import replace
+from datagen.effects import effect
+from datagen.space import Parameter
+
+@effect("load", [Parameter("n", "1", 0, 3, scale="integer", off=0, source="a test")])
+def counted(problem, n):
+    "p = p0 (1 - n / 10)"
+    return replace(problem, pressure_gain=problem.pressure_gain * (1 - n / 10))
+"""
+
+
+def test_what_is_counted_is_not_ranked_and_a_lost_decorator_is_told(
+    tmp_path: Path,
+) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "counted.py").write_text(COUNTED)
+    (own / "forgotten.py").write_text("def forgotten(problem, size): return problem\n")
+    solver = Solver(1, tmp_path / "kept")
+    study = Study(Measurements((FIRST,)), solver, level="draft", effects_dir=own)
+    assert study.warnings == ["forgotten.py: declares no effect"]
+    assert "its n is a whole number" in study.blind("counted")
+    search = Search(study)
+    assert search.solve_singles(("counted",)) == []
+    assert "its n is a whole number" in search.unjudged["counted"]
 
 
 def test_a_sweep_that_begins_in_vacuum_keeps_its_pressures(tmp_path: Path) -> None:

@@ -135,6 +135,28 @@ def test_a_file_without_an_effect_is_one_line(
     assert words in err
 
 
+def test_a_folder_is_its_files(
+    pba: Any, seam: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("datagen.effects.conformance.check", findings(True))
+    other = seam.with_name("other.py")
+    other.write_text(example().replace("def weld_seam", "def other_seam"))
+    status, out, _ = pba("effects", "check", seam.parent)
+    assert status == 0
+    assert "other_seam (stage: material)" in out and "weld_seam (stage: " in out
+    other.write_text("def other_seam(problem): return problem\n")
+    status, out, err = pba("effects", "check", seam.parent)
+    assert (status, out) == (2, "")
+    assert f"{other}: declares no effect" in err
+    status, out, err = pba("effects", "list", "--effects-dir", seam.parent)
+    assert status == 0 and "weld_seam" in out
+    assert err == f"{other}: declares no effect\n"
+    empty = seam.parent / "empty"
+    empty.mkdir()
+    status, _, err = pba("effects", "check", empty)
+    assert status == 2 and f"{empty}: no file of effects in it" in err
+
+
 def test_an_unknown_name_is_one_line(pba: Any) -> None:
     status, out, err = pba("effects", "check", "weld_seam")
     assert (status, out) == (2, "")

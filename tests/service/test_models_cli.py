@@ -197,6 +197,12 @@ def test_solve_with_a_version(pba: Any, home: Workspace) -> None:
     same = the_json(pba("solve", "--model", "first", *off, *wanted))
     assert same["tip_deflection_mm"] == plain["tip_deflection_mm"]
     assert found["tip_deflection_mm"] != plain["tip_deflection_mm"]
+    more = ("--effect", "pressure_offset:offset=100")
+    shown = pba("solve", "--model", "first", *off, *more, *wanted[:-1])[1]
+    assert (
+        f"Model version {first.version} with cure_mismatch; pressure_offset on top of "
+        "it; values of cure_mismatch as given."
+    ) in " ".join(shown.split())
     for model, says in (("nothing", "first, second"), (str(home.folder), "no model")):
         status, out, err = pba("solve", "--model", model, *wanted)
         assert (status, out, err.count("\n")) == (2, "", 1) and says in err
