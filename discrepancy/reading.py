@@ -381,7 +381,7 @@ def _curve(
     if turned is not None:
         warnings.append(
             f"{prefix}run {key[0]}: no branch is given; from {turned.row.line} on, "
-            "where the load falls, it is taken for unloading"
+            "on the way back, it is taken for unloading"
         )
     warnings += [prefix + text for text in _odd_steps(key[0], rows)]
     timed = "time" in rows[0].numbers
@@ -408,27 +408,35 @@ def _sizes(rows: list[Reading]) -> np.ndarray:
 def _find_unloading(rows: list[Reading]) -> Reading | None:
     """Let rows without a branch, whose loads rise and then fall, be both.
 
+    Where rows have times, loads may be held on the way and at the top; without them
+    the highest may stand twice: the last of the way up and the first of the way back.
+
     Returns
     -------
     Reading or None
         The first of the unloading rows, where there are any.
     """
     size = _sizes(rows)
-    top = int(np.argmax(size))
-    steps = np.diff(size)
+    top = np.flatnonzero(size == size.max())
+    first, last = int(top[0]), int(top[-1])
     if any("branch" in reading.row.texts for reading in rows):
         return None
     loads = [reading.load for reading in rows]
     if min(loads) < 0 < max(loads):
         return None  # into vacuum is another loading, not the way back
     # One row that goes back may as well be one too many.
-    if not 0 < top < len(rows) - 2 or (steps[:top] <= 0).any():
+    if not 0 < first <= last < len(rows) - 2 or last - first >= len(top):
         return None
-    if (steps[top:] >= 0).any():
+    up, down = np.diff(size[: first + 1]), -np.diff(size[last:])
+    if "time" in rows[0].numbers:
+        back, even = last + 1, (up >= 0).all() and (down >= 0).all()
+    else:
+        back, even = first + 1, (up > 0).all() and (down > 0).all() and len(top) < 3
+    if not even:
         return None
-    for reading in rows[top + 1 :]:
+    for reading in rows[back:]:
         reading.branch = UNLOADING
-    return rows[top + 1]
+    return rows[back]
 
 
 def _check_order(

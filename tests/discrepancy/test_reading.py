@@ -274,6 +274,27 @@ def test_a_way_back_without_a_branch_is_unloading(tmp_path: Path) -> None:
     assert "no branch is given; from line 5 on" in warning
 
 
+@pytest.mark.parametrize(
+    ("loads", "timed", "loading"),
+    [
+        ("10 20 30 30 20 10", False, 3),  # the way back begins at the top
+        ("10 20 30 30 20 10", True, 4),  # held at the top
+        ("10 20 20 30 30 30 20 20 10", True, 6),
+        ("10 20 30 20 30 20 10", True, 7),  # no one way back
+    ],
+)
+def test_loads_that_are_held(
+    tmp_path: Path, loads: str, timed: bool, loading: int
+) -> None:
+    steps = [
+        {"pressure_kPa": p} | ({"time_s": str(10 * i)} if timed else {})
+        for i, p in enumerate(loads.split())
+    ]
+    (curve,) = read_measurements(write(tmp_path, *steps)).curves
+    back = len(steps) - loading
+    assert list(curve.branch) == ["loading"] * loading + ["unloading"] * back
+
+
 def test_a_specimen_that_states_both_layers_is_of_the_upper_one(tmp_path: Path) -> None:
     """And what it states of a device's other parts is not looked at."""
     strange = {"specimen": "bulge", "tip_deflection_mm": "", "divisions_x": "0"}
