@@ -427,13 +427,11 @@ def _find_unloading(rows: list[Reading]) -> Reading | None:
     # One row that goes back may as well be one too many.
     if not 0 < first <= last < len(rows) - 2 or last - first >= len(top):
         return None
-    up, down = np.diff(size[: first + 1]), -np.diff(size[last:])
-    if "time" in rows[0].numbers:
-        back, even = last + 1, (up >= 0).all() and (down >= 0).all()
-    else:
-        back, even = first + 1, (up > 0).all() and (down > 0).all() and len(top) < 3
-    if not even:
+    timed = "time" in rows[0].numbers
+    on = np.concatenate([np.diff(size[: first + 1]), -np.diff(size[last:])])
+    if (on < 0).any() or (not timed and ((on == 0).any() or len(top) > 2)):
         return None
+    back = last + 1 if timed else first + 1
     for reading in rows[back:]:
         reading.branch = UNLOADING
     return rows[back]

@@ -66,6 +66,9 @@ KINDS: Mapping[str, Kind] = {
 FURTHER_WORDS = {"case": "1, 2, 3 or 4"}
 """What is allowed, in better words than pydantic's."""
 
+UNITS = {"s": "s", "pct": "%", "um": "um"}
+"""Of fields that are no design's, by the end of their names."""
+
 LONGEST = 2000
 """Characters of an error's parts."""
 
@@ -292,7 +295,10 @@ def input_error(problem: Mapping[str, Any]) -> InputError:
     if PRESSURE.name in location:
         return InputError(field, value, pressure_words(), PRESSURE.unit)
     words = str(problem["msg"]).removeprefix("Input should be ")
-    return InputError(field, value, FURTHER_WORDS.get(name, words))
+    unit = UNITS.get(name.rpartition("_")[2], "")
+    if problem["type"] in ("greater_than_equal", "less_than_equal"):
+        words = f"{words} {unit}".rstrip()
+    return InputError(field, value, FURTHER_WORDS.get(name, words), unit)
 
 
 def _bounded(value: object) -> object:

@@ -40,6 +40,10 @@ def measured_of(payload: Mapping[str, Any]) -> list[Measurements]:
     from discrepancy.measurement import Tolerances
     from discrepancy.reading import read_measurements
 
+    for file in payload["files"]:
+        if not Path(file).is_file():
+            words = "measurements that are kept; these were deleted before the work"
+            raise InputError("measurements", Path(file).name, words)
     allowed = Tolerances(**payload["tolerances"])
     return [read_measurements(file, allowed) for file in payload["files"]]
 

@@ -125,6 +125,7 @@ def test_a_thousand_load_steps_are_answered(client: TestClient) -> None:
     ("more", "field"),
     [
         ({"wait_s": -1}, "wait_s"),
+        ({"wait_s": "soon"}, "wait_s"),
         ({"wait_s": 1e9}, "wait_s"),
         ({"source": "guess"}, "source"),
         ({"level": "finest"}, "level"),
@@ -135,6 +136,8 @@ def test_bad_options(client: TestClient, more: Any, field: str) -> None:
     error = the_error(ask(client, S1, **more), 422)
     assert error["field"] == field
     assert error["allowed"]
+    if "wait_s" in more:
+        assert " s is not allowed" in error["message"]
 
 
 @pytest.mark.parametrize("missing", ["design", "pressure_kPa"])

@@ -10,8 +10,10 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
+from datagen.errors import InputError
 from discrepancy.writing import measurements_text
 from service.app import KINDS, Settings, create_app
+from service.discrepancy_tasks import measured_of
 from tests.discrepancy.made import MISMATCH, measured
 from tests.service.fakes import FakeSurrogate
 
@@ -173,6 +175,13 @@ def test_forgotten(client: TestClient, csv: bytes) -> None:
     assert client.delete(f"/v1/measurements/{kept}").status_code == 204
     assert client.get(f"/v1/measurements/{kept}").status_code == 404
     assert client.delete(f"/v1/measurements/{kept}").status_code == 404
+
+
+def test_a_job_whose_measurements_are_gone_says_so(tmp_path: Path) -> None:
+    payload = {"files": [str(tmp_path / "kept" / "bench.csv")], "tolerances": {}}
+    with pytest.raises(InputError, match="deleted before the work") as told:
+        measured_of(payload)
+    assert str(tmp_path) not in str(told.value)
 
 
 def test_files_are_those_that_were_sent(
