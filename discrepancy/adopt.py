@@ -208,8 +208,9 @@ def _refuse(search: Search, effects: Sequence[str]) -> list[str]:
 def _judgement(rungs: Sequence[Rung]) -> list[str]:
     """What the ladder warns of, one line each."""
     lines = []
-    if math.isnan(rungs[1].heldout_error):
-        return ["only one device: no error on devices that were left out"]
+    alone = math.isnan(rungs[1].heldout_error)
+    if alone:
+        lines.append("only one device: no error on devices that were left out")
     recalibrated, last, floor = rungs[1], rungs[-2], rungs[-1]
     if recalibrated.ratio_low > 1:
         lines.append(
@@ -218,7 +219,7 @@ def _judgement(rungs: Sequence[Rung]) -> list[str]:
         )
     for rung in rungs[2:-1]:
         name = rung.name.removeprefix("+ ")
-        if not rung.helps:
+        if not alone and not rung.helps:
             how = "raises" if rung.ratio_low > 1 else "does not clearly lower"
             lines.append(
                 f"{name} {how} the error on left-out devices: {rung.ratio:.2f} times "

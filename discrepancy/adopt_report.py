@@ -86,8 +86,10 @@ def _head(made: Adoption, version: ModelVersion, name: str) -> Iterator[str]:
     )
     first, last, floor = made.ladder[0], made.ladder[-2], made.ladder[-1]
     if last.heldout_error == last.heldout_error:
+        change = last.heldout_error - first.heldout_error
+        way = "falls" if change < 0 else "rises"
         words = (
-            "On devices that took no part in the fit the error falls from "
+            f"On devices that took no part in the fit the error {way} from "
             f"{first.heldout_error:.2f} to {last.heldout_error:.2f} times the noise; a "
             f"model with the right physics errs by about {floor.heldout_error:.2f}, "
             "since each new device has its own tolerances."

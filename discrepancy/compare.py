@@ -17,10 +17,9 @@ from datagen.units import DESIGN
 from .columns import NUMBERS
 from .evidence import Fit, fit
 from .heldout import left_out, noise_floor
-from .measurement import Measurements
+from .measurement import Curve, Measurements
 from .missing import CLAIM, Kind, Labels, Residuals, Score, overall, scores
 from .regions import Region, regions
-from .repeats import ENOUGH
 from .study import Study
 
 Array = np.ndarray
@@ -282,18 +281,20 @@ def labels_of(study: Study) -> Labels:
     return Labels(tuple(kinds), np.array(kind), np.array(load), traits, pulls)
 
 
+def noise_source(study: Study, g: int) -> str:
+    """Where the noise of a group of readings is from, or of those of unknown noise."""
+    at = study.readings.group == g
+    if not study.readings.stated[at].all():
+        return INFERRED
+    curves = study.measurements.curves
+    own = {(c, m) for (c, _, m), here in zip(study.cells, at, strict=True) if here}
+    given = all(np.isfinite(curves[c].std[:, m]).any() for c, m in own)
+    return STATED if given else REPEATS
+
+
 def _noise(study: Study, best: Fit, g: int) -> Noise:
     at = study.readings.group == g
-    curves = study.measurements.curves
-    given = [np.isfinite(curves[c].std[s, m]) for c, s, m in study.cells]
-    repeated = study.repeats.get(study.kinds[g])
-    if np.array(given)[at].all():
-        source = STATED
-    elif repeated is not None and repeated.degrees >= ENOUGH:
-        source = REPEATS
-    else:
-        source = INFERRED
-    return Noise(float(np.median(best.noise[at])), source)
+    return Noise(float(np.median(best.noise[at])), noise_source(study, g))
 
 
 def _error(study: Study, residuals: Residuals, heldout: Array, g: int) -> Error:
@@ -350,12 +351,18 @@ def _calibrations(study: Study, residuals: Residuals) -> tuple[Calibration, ...]
             kind, stated, unit = "thickness", getattr(design, field), allowed.thickness
         else:
             curve = measurements.curves[int(str(key[1]))]
-            of = (f"{curve.device} run {curve.run}",)
+            of = (f"{curve.device} run {curve.run}{turned(curve)}",)
             kind, stated, unit = "scale", 1.0, allowed.camera_scale
         found.append(
             Calibration(kind, of, stated, float(mean) * unit, float(std) * unit, unit)
         )
     return tuple(found)
+
+
+def turned(curve: Curve) -> str:
+    """`, turned by 180 deg` where a curve's orientation is not the usual one."""
+    angle = math.degrees(curve.orientation)
+    return f", turned by {angle:.4g} deg" if abs(angle) > 1e-9 else ""
 
 
 def _failure(study: Study, best: Fit, labels: Labels, region: Region) -> Failure:

@@ -23,6 +23,7 @@ from .evidence import Fit
 from .hypotheses import Present
 from .judging import Ranking
 from .measurement import LOADING, UNLOADING, Curve, Measurements
+from .noise import Readings
 from .study import Study
 from .weighing import nearest
 
@@ -33,6 +34,15 @@ HYPOTHESES = 3
 
 TENSILE_NOISE = 0.02
 """Of a tensile test, share of the stress at twice the length."""
+
+BULGE_NOISE = 5e-6
+"""m.  Of a membrane's inflation, where no length was measured on the devices."""
+
+SIDEWAYS = 0.2
+"""Cosine of an orientation below which turning over changes next to nothing."""
+
+UNKNOWN = 1e3
+"""Noise, in sizes of a curve, of readings that are to tell nothing."""
 
 HOLE = (8e-3, 2e-3)
 """Sides of the published bulge specimen's hole, m."""
@@ -67,23 +77,61 @@ class Proposal:
         return float(ndtr(np.sqrt(max(self.then, 0.0)) / 2))
 
 
-def proposals(study: Study, names: Sequence[str]) -> Iterator[tuple[str, Curve]]:
-    """Measurements that a lab can make with what it has, in words and as curves."""
+@dataclass(frozen=True)
+class _Like:
+    """A curve that was measured, and what is known of its readings.
+
+    Parameters
+    ----------
+    curve : Curve
+    noise : (m,) array, SI
+        Of each quantity; NaN where no reading counts.
+    run : int
+        The next one, of all curves.
+    """
+
+    curve: Curve
+    noise: Array
+    run: int
+
+
+def proposals(
+    study: Study, names: Sequence[str], noise: Array
+) -> Iterator[tuple[str, Curve]]:
+    """Measurements that a lab can make with what it has, in words and as curves.
+
+    Parameters
+    ----------
+    study : Study
+    names : sequence of str
+        Hypotheses that are to be told apart, or whose sizes are.
+    noise : (n,) array, SI
+        Of the study's readings, as a fit takes it.
+    """
     curve = _telling(study, names)
+    of_curve = np.full(curve.values.shape, np.nan)
+    for (c, s, m), std in zip(study.cells, noise, strict=True):
+        if study.measurements.curves[c] is curve:
+            of_curve[s, m] = std
+    known = [one[np.isfinite(one)] for one in of_curve.T]
+    own = [float(np.median(one)) if len(one) else np.nan for one in known]
+    run = 1 + max(c.run for c in study.measurements.curves)
+    like = _Like(curve, np.array(own), run)
     if isinstance(curve.design, Design):
-        yield from _of_device(study, curve, curve.design)
+        yield from _of_device(like, curve.design)
         for layer, modulus in curve.layers.items():
-            yield _strip(study, curve, layer, modulus)
-        yield _membrane(study, curve, curve.design)
+            yield _strip(like, layer, modulus)
+        yield _membrane(like, curve.design)
     elif isinstance(curve.design, Bulge):
-        yield _further(study, curve)
-        yield _strip(study, curve, curve.design.layer, curve.design.modulus)
+        yield _further(like)
+        yield _strip(like, curve.design.layer, curve.design.modulus)
     else:
-        yield from _of_strip(study, curve, curve.design)
+        yield from _of_strip(like, curve.design)
 
 
-def _again(study: Study, curve: Curve, load: Array, **other: object) -> Curve:
+def _again(like: _Like, load: Array, **other: object) -> Curve:
     """A curve like one that was measured, at other load steps; not read yet."""
+    curve = like.curve
     load = np.asarray(load, dtype=float)
     shape = (len(load), len(curve.outputs))
     settings: dict[str, object] = {
@@ -91,8 +139,8 @@ def _again(study: Study, curve: Curve, load: Array, **other: object) -> Curve:
         "time": None,
         "branch": np.full(len(load), LOADING),
         "values": np.ones(shape),
-        "std": np.tile(np.nanmedian(_noise(study, curve), axis=0), (len(load), 1)),
-        "run": 1 + max(c.run for c in study.measurements.curves),
+        "std": np.tile(like.noise, (len(load), 1)),
+        "run": like.run,
     }
     return replace(curve, **(settings | other))  # type: ignore[arg-type]
 
@@ -101,34 +149,41 @@ def _shown(load: Array) -> str:
     return ", ".join(f"{p / 1e3:.3g}" for p in load)
 
 
-def _further(study: Study, curve: Curve) -> tuple[str, Curve]:
+def _top(curve: Curve) -> float:
+    """The load furthest from rest: below 0 in a test under vacuum alone."""
+    return float(curve.load[int(np.argmax(np.abs(curve.load)))])
+
+
+def _further(like: _Like) -> tuple[str, Curve]:
     """Higher pressures on a device or membrane."""
-    high = float(np.abs(curve.load).max()) * np.array([1.2, 1.4, 1.6])
-    words = f"measure {curve.device} further, at {_shown(high)} kPa"
-    return words, _again(study, curve, high)
+    high = _top(like.curve) * np.array([1.2, 1.4, 1.6])
+    words = f"measure {like.curve.device} further, at {_shown(high)} kPa"
+    return words, _again(like, high)
 
 
-def _of_device(
-    study: Study, curve: Curve, design: Design
-) -> Iterator[tuple[str, Curve]]:
+def _of_device(like: _Like, design: Design) -> Iterator[tuple[str, Curve]]:
     """More readings of a device, and of devices like it."""
-    yield _further(study, curve)
-    low = float(np.abs(curve.load).max()) * np.array([0.02, 0.04, 0.08])
+    curve = like.curve
+    yield _further(like)
+    low = _top(curve) * np.array([0.02, 0.04, 0.08])
     yield (
         f"measure {curve.device} more finely, at {_shown(low)} kPa",
-        _again(study, curve, low),
+        _again(like, low),
     )
-    load = np.unique(np.abs(curve.load))
-    yield (
-        f"turn {curve.device} over (orientation_deg 180) and measure it again",
-        _again(study, curve, load, orientation=np.pi - curve.orientation),
-    )
+    load = np.unique(np.abs(curve.load)) * (1 if _top(curve) > 0 else -1)
+    over = np.pi - curve.orientation
+    if abs(np.cos(over)) > SIDEWAYS:
+        yield (
+            f"turn {curve.device} over (orientation_deg {np.degrees(over):.3g}) and "
+            "measure it again",
+            _again(like, load, orientation=over),
+        )
     both = np.concatenate([load, load[-2::-1]])
     branch = np.repeat([LOADING, UNLOADING], [len(load), len(both) - len(load)])
     time = 10.0 * np.arange(1, len(both) + 1)
     yield (
         f"measure {curve.device} up and down again, 10 s a step (branch, time_s)",
-        _again(study, curve, both, branch=branch, time=time),
+        _again(like, both, branch=branch, time=time),
     )
     for field, factor, words in (
         ("upper_thickness", 0.65, "a thinner upper layer"),
@@ -144,18 +199,17 @@ def _of_device(
         name = f"{curve.device}, {words}"
         yield (
             f"make and measure a device like {curve.device} with {words}, {value}",
-            _again(study, curve, load, device=name, design=other),
+            _again(like, load, device=name, design=other),
         )
 
 
-def _strip(study: Study, curve: Curve, layer: str, modulus: float) -> tuple[str, Curve]:
+def _strip(like: _Like, layer: str, modulus: float) -> tuple[str, Curve]:
     """A strip of a layer's batch, pulled to twice its length."""
     stretch = np.linspace(1.1, 2.0, 10)
     stress = TENSILE_NOISE * modulus / 3 * 1.75
     words = f"pull a strip of the {layer} layer's batch ({modulus / 1e6:.3g} MPa) to "
     return words + "twice its length", _again(
-        study,
-        curve,
+        like,
         stretch,
         device=f"strip of the {layer} layer",
         design=Tensile(modulus, layer=layer),
@@ -166,34 +220,38 @@ def _strip(study: Study, curve: Curve, layer: str, modulus: float) -> tuple[str,
     )
 
 
-def _membrane(study: Study, curve: Curve, design: Design) -> tuple[str, Curve]:
+def _membrane(like: _Like, design: Design) -> tuple[str, Curve]:
     """A membrane like a device's upper layer over the published hole."""
-    load = np.unique(np.abs(curve.load))
+    load = np.unique(np.abs(like.curve.load))
+    measured = dict(zip(like.curve.outputs, like.noise, strict=True))
+    lengths = [
+        measured[name]
+        for name in ("inflation", "inflation_lower", "tip_deflection")
+        if np.isfinite(measured.get(name, np.nan))
+    ]
     hole = Bulge(*HOLE, design.upper_thickness, design.upper_modulus)
     words = "inflate a membrane of the upper layer over a hole of "
     return words + f"{1e3 * HOLE[0]:g} x {1e3 * HOLE[1]:g} mm", _again(
-        study,
-        curve,
+        like,
         load,
         device="membrane of the upper layer",
         design=hole,
         orientation=0.0,
         outputs=("inflation",),
         values=np.ones((len(load), 1)),
-        std=np.full((len(load), 1), float(np.nanmin(_noise(study, curve)))),
+        std=np.full((len(load), 1), lengths[0] if lengths else BULGE_NOISE),
     )
 
 
-def _of_strip(
-    study: Study, curve: Curve, strip: Tensile
-) -> Iterator[tuple[str, Curve]]:
+def _of_strip(like: _Like, strip: Tensile) -> Iterator[tuple[str, Curve]]:
     """Strips pulled further, and in other ways."""
+    curve = like.curve
     top = float(curve.load.max())
     high = 1 + (top - 1) * np.array([1.15, 1.3, 1.5])
     shown = ", ".join(f"{stretch:.3g}" for stretch in high)
     yield (
         f"pull {curve.device} further, to stretches {shown}",
-        _again(study, curve, high),
+        _again(like, high),
     )
     stretch = np.linspace(1 + (top - 1) / 8, top, 8)
     for mode in MODES:
@@ -202,9 +260,7 @@ def _of_strip(
             yield (
                 f"test the material of {curve.device} in {mode} tension, to a stretch "
                 f"of {top:.3g}",
-                _again(
-                    study, curve, stretch, device=name, design=replace(strip, mode=mode)
-                ),
+                _again(like, stretch, device=name, design=replace(strip, mode=mode)),
             )
 
 
@@ -217,15 +273,6 @@ def _changed(design: Design, field: str, factor: float) -> Design:
     if field == "balloon_length":
         values["length"] = design.length + change
     return design.with_values(**values)
-
-
-def _noise(study: Study, curve: Curve) -> Array:
-    """(s, m) noise of a curve's readings as the study takes it."""
-    noise = np.full(curve.values.shape, np.nan)
-    for i, (c, s, m) in enumerate(study.cells):
-        if study.measurements.curves[c] is curve:
-            noise[s, m] = study.readings.noise[i]
-    return noise
 
 
 def _telling(study: Study, names: Sequence[str]) -> Curve:
@@ -274,7 +321,8 @@ def next_measurement(study: Study, ranking: Ranking) -> list[Proposal]:
         return []
     now = separation([one.fit for one in chosen])[0]
     found = []
-    for words, curve in proposals(study, [one.name for one in chosen]):
+    noise = chosen[0].fit.noise
+    for words, curve in proposals(study, [one.name for one in chosen], noise):
         curves = (*study.measurements.curves, curve)
         try:
             more = Study(
@@ -287,7 +335,7 @@ def next_measurement(study: Study, ranking: Ranking) -> list[Proposal]:
             )
         except InputError:
             continue
-        fits = carried(more, [one.fit for one in chosen])
+        fits = carried(study, more, [one.fit for one in chosen])
         if fits is None:
             continue
         then, between = separation(fits)
@@ -295,27 +343,45 @@ def next_measurement(study: Study, ranking: Ranking) -> list[Proposal]:
     return sorted(found, key=lambda one: -one.then)
 
 
-def carried(study: Study, fits: Sequence[Fit]) -> list[Fit] | None:
-    """The same fits in a study with one curve more; None where it is not reached."""
-    solved = study.solve(
+def carried(study: Study, more: Study, fits: Sequence[Fit]) -> list[Fit] | None:
+    """Fits of a study in one with a curve more; None where that is not reached."""
+    solved = more.solve(
         [(one.hypothesis.effects, one.t) for one in fits],  # type: ignore[attr-defined]
         "proposals",
     )
+    new = np.array([c == len(study.measurements.curves) for c, _, _ in more.cells])
+    if not new.any():
+        return None
     carried = []
-    readings = study.readings
-    if len(np.unique(readings.device)) < len(study.measurements.devices):
-        return None  # the new curve is past the end of the path
-    # What is not read yet has the size that the baseline gives it.
-    new = readings.curve >= 1000 * (len(study.measurements.curves) - 1)
-    scale = readings.scale.copy()
-    for curve in np.unique(readings.curve[new]):
-        at = readings.curve == curve
-        scale[at] = np.abs(study.base[at]).max()
-    readings = replace(readings, scale=scale)
+    readings = _joined(study, more, new)
     for one, node in zip(fits, solved, strict=True):
-        present = study.present(one.hypothesis.effects)  # type: ignore[attr-defined]
+        present = more.present(one.hypothesis.effects)  # type: ignore[attr-defined]
         if node is None or not isinstance(present, Present):
             return None
         keep = np.ones(len(readings.value), dtype=bool)
         carried.append(replace(one, hypothesis=present, readings=readings, keep=keep))
     return carried
+
+
+def _joined(study: Study, more: Study, new: Array) -> Readings:
+    """Readings of a study with a curve more, the old ones with the errors they had.
+
+    The values of the new ones are not known: they have the size that the baseline
+    gives them, and must not say anything of how the others err.
+    """
+    readings = more.readings
+    noise, scale = readings.noise.copy(), readings.scale.copy()
+    for curve in np.unique(readings.curve):
+        at = readings.curve == curve
+        scale[at] = np.abs(more.base[at]).max()
+    before = {cell: i for i, cell in enumerate(study.cells)}
+    for i in np.flatnonzero(~new):
+        j = before.get(more.cells[i])
+        if j is None:  # reached on this mesh alone, and not among the readings
+            noise[i] = UNKNOWN * scale[i]
+            continue
+        noise[i] = study.readings.noise[j]
+        scale[i] = study.readings.scale[j]
+    was = dict(zip(study.readings.curve, study.readings.stated, strict=True))
+    stated = np.array([was.get(curve, True) for curve in readings.curve])
+    return replace(readings, noise=noise, scale=scale, stated=stated)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .evidence import Fit, fit
-from .noise import smooth_kernel
+from .noise import Frame
 
 Array = np.ndarray
 
@@ -38,14 +38,18 @@ def left_out(one: Fit, noise: Array | None = None) -> Array:
         out = readings.device == device
         if out.all():
             break
-        same = set(readings.group[~out]) == set(readings.group)
+        frame = Frame(readings.subset(~out))
+        # Without the only device that has a quantity, or noise that is not stated,
+        # there are fewer amplitudes.
+        hyper = frame.hyper(bool(one.hypothesis.common))
         others = fit(
             readings,
             one.hypothesis,
             keep=~out,
+            frame=frame,
             starts=[one.t],
-            eta=one.eta if same else None,
-            fixed=same,  # one device hardly moves the amplitudes of all
+            eta=hyper.aligned(one.hyper.names, one.eta),
+            fixed=set(frame.groups) == set(readings.group),  # it hardly moves them
             evidence=False,
         )
         residuals[out] = (readings.value - others.predict())[out] / noise[out]
@@ -135,8 +139,7 @@ def floor_interval(one: Fit, seed: int, draws: int = DRAWS) -> tuple[float, floa
     bent = np.zeros((draws, n))
     for curve in np.unique(readings.curve) if readings.correlated else ():
         at = np.flatnonzero(readings.curve == curve)
-        kernel = smooth_kernel(readings.place[at], readings.path[at])
-        kernel += 1e-10 * np.eye(len(at))
+        kernel = readings.smooth(at) + 1e-10 * np.eye(len(at))
         amplitude = smooth.get(int(readings.group[at[0]]), 0.0) * readings.scale[at]
         drawn = rng.standard_normal((draws, len(at))) @ np.linalg.cholesky(kernel).T
         bent[:, at] = drawn * amplitude / one.noise[at]

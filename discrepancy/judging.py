@@ -13,7 +13,7 @@ from .heldout import explained, held_out, noise_floor
 from .hypotheses import Null
 from .noise import LARGE_SMOOTH
 from .study import Study
-from .weighing import nearest, probabilities
+from .weighing import nearest, probabilities, sound
 
 Array = np.ndarray
 
@@ -175,7 +175,7 @@ def judge(
         )
         for f in named[:2]
     ]
-    whole = [*fits, *remainders]
+    whole = [*fits, *sound(study.readings, remainders, seed)]
     logs = np.array([one.log_evidence for one in whole])
     priors = np.array([log_prior(one.hypothesis, count) for one in whole])
     shares = probabilities(logs, priors)

@@ -27,7 +27,7 @@ from datagen.errors import InputError
 Array = np.ndarray
 
 LENGTH = 0.5
-"""Correlation length of smooth errors over a curve's range of pressure."""
+"""Correlation length of smooth errors, share of a curve's own range of loads."""
 
 SMOOTH_CENTRE, SMOOTH_WIDTH = 0.01, 1.0
 """Amplitude of smooth errors, share of a curve's maximum: log-normal around 1 %, with
@@ -44,7 +44,7 @@ COMMON_CENTRE, COMMON_WIDTH = 0.05, 1.2
 """Amplitude of an effect that no hypothesis knows, share of a curve's maximum."""
 
 
-def smooth_kernel(place: Array, path: Array, length: float = LENGTH) -> Array:
+def smooth_kernel(place: Array, path: Array, length: float) -> Array:
     """Correlation (n, n) of smooth errors inside a curve: Matern 3/2.
 
     Half of the variance goes with the load, as what a model lacks does, and half with
@@ -138,6 +138,12 @@ class Readings:
             correlated=self.correlated,
         )
 
+    def smooth(self, at: Array) -> Array:
+        """Correlation (m, m) of the smooth errors of one curve, its readings `at`."""
+        place = self.place[at]
+        reach = float(np.abs(place).max()) or 1.0
+        return smooth_kernel(place, self.path[at], LENGTH * reach)
+
 
 @dataclass(frozen=True)
 class Hyper:
@@ -198,7 +204,7 @@ class Frame:
                 turn[at, at] = 1 / data.noise[at]
                 continue
             share = data.scale[at] / data.noise[at]
-            kernel = smooth_kernel(data.place[at], data.path[at])
+            kernel = data.smooth(at)
             kernel = share[:, None] * kernel * share[None, :]
             values, vectors = np.linalg.eigh(kernel)
             turn[np.ix_(at, at)] = vectors.T / data.noise[at][None, :]

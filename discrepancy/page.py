@@ -15,6 +15,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from . import figures
+from .compare import noise_source
 from .evidence import Fit
 from .figures import Figure
 from .study import Study
@@ -162,10 +163,16 @@ def errors(study: Study, best: Fit) -> Iterator[str]:
         at = readings.group == g
         axis = quantity_axis(study, g)
         noise = np.median(best.noise[at]) / axis.factor
-        how = "stated" if readings.stated[at].all() else "inferred"
+        source = noise_source(study, g)
         share = f"{100 * smooth[g]:.1f} %" if g in smooth else "none"
         rows.append(
-            (escape(axis.title), str(at.sum()), f"{noise:.2g} {axis.unit}", how, share)
+            (
+                escape(axis.title),
+                str(at.sum()),
+                f"{noise:.2g} {axis.unit}",
+                source,
+                share,
+            )
         )
     yield heading("Errors of the readings")
     yield table(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +30,12 @@ PLAUSIBLE = 1.645
 """Prior standard deviations over its centre up to which an amplitude of smooth errors
 is believed: its 95 % quantile.  Larger ones are a misfit that took their place."""
 
-HINGES, DRAWS = 10, 999
-"""Most loads where a misfit may begin, and simulated sets of readings behind a p."""
+HINGES, SPLITS, DRAWS = 10, 12, 999
+"""Most loads where a misfit may begin, most thresholds of a design variable, and
+simulated sets of readings behind a p."""
+
+BLOCK = 2000
+"""Regions that are weighed at a time: many devices have millions of numbers in them."""
 
 MOST = 4
 """Regions told at most."""
@@ -121,7 +126,11 @@ def _splits(devices: Array, traits: dict[str, Array]) -> list[_Split]:
     for name, values in traits.items():
         own = values[devices]
         levels = np.unique(own[np.isfinite(own)])
-        for lower, upper in itertools.pairwise(levels):
+        gaps = list(itertools.pairwise(levels))
+        if len(gaps) > SPLITS:
+            ranks = np.linspace(0, len(gaps) - 1, SPLITS).round().astype(int)
+            gaps = [gaps[rank] for rank in ranks]
+        for lower, upper in gaps:
             threshold = float(lower + upper) / 2
             for above in (False, True):
                 inside = own > threshold if above else own < threshold
@@ -159,9 +168,8 @@ def _together(kinds: tuple[Kind, ...]) -> list[tuple[Kind, tuple[int, ...]]]:
     return found
 
 
-def _shapes(labels: Labels, device: Array, taken: set[int]) -> list[_Shape]:
+def _shapes(labels: Labels, device: Array, taken: set[int]) -> Iterator[_Shape]:
     """Every region that is looked at, of kinds that are not `taken`."""
-    found = []
     for kind, members in _together(labels.kinds):
         here = np.isin(labels.kind, members)
         if taken & set(members):
@@ -181,8 +189,7 @@ def _shapes(labels: Labels, device: Array, taken: set[int]) -> list[_Shape]:
             for growth, profile in profiles:
                 shape = np.where(inside, np.clip(profile, 0.0, None), 0.0)
                 if shape.any():
-                    found.append(_Shape(kind, members, growth, split, shape))
-    return found
+                    yield _Shape(kind, members, growth, split, shape)
 
 
 def regions(nothing: Fit, labels: Labels, seed: int = 0) -> tuple[float, list[Region]]:
@@ -217,30 +224,35 @@ def regions(nothing: Fit, labels: Labels, seed: int = 0) -> tuple[float, list[Re
     taken: set[int] = set()
     best = nothing
     while len(kept) < MOST:
-        shapes = _shapes(labels, readings.device, taken)
-        if not shapes:
-            break
-        profiles = np.array([one.profile for one in shapes]) * readings.scale
-        price = np.array([one.split.price for one in shapes])
-        turned = frame.turn @ profiles.T
         r = frame.turn @ (readings.value - prediction.values)
         covariance = _plausible(best, frame)
-        weighted = covariance.solve(turned)
-        norm = (turned * weighted).sum(axis=0)
-        seen = norm > 1e-12 * (turned**2 / covariance.diagonal[:, None]).sum(axis=0)
-        weighted = weighted[:, seen] / np.sqrt(norm[seen])
-        gains = 0.5 * (r @ weighted) ** 2 - price[seen]
         drawn = rng.standard_normal((DRAWS, len(r))) * np.sqrt(covariance.diagonal)
         spread = rng.standard_normal((DRAWS, covariance.columns.shape[1]))
         drawn += spread @ covariance.columns.T
-        chance = (0.5 * (drawn @ weighted) ** 2 - price[seen]).max(axis=1)
-        top = int(np.argmax(gains))
-        p = (1 + int((chance >= gains[top]).sum())) / (1 + DRAWS)
+        every = _shapes(labels, readings.device, taken)
+        top, chance, clear = -math.inf, np.full(DRAWS, -math.inf), None
+        while block := list(itertools.islice(every, BLOCK)):
+            profiles = np.array([one.profile for one in block]) * readings.scale
+            price = np.array([one.split.price for one in block])
+            turned = frame.turn @ profiles.T
+            weighted = covariance.solve(turned)
+            norm = (turned * weighted).sum(axis=0)
+            least = 1e-12 * (turned**2 / covariance.diagonal[:, None]).sum(axis=0)
+            weighted = weighted / np.sqrt(np.maximum(norm, least))
+            price[norm <= least] = math.inf  # calibrations can be all of it
+            gains = 0.5 * (r @ weighted) ** 2 - price
+            chances = 0.5 * (drawn @ weighted) ** 2 - price
+            chance = np.maximum(chance, chances.max(axis=1))
+            if gains.max() > top:
+                top, clear = float(gains.max()), block[int(np.argmax(gains))]
+        if clear is None:
+            break
+        p = (1 + int((chance >= top).sum())) / (1 + DRAWS)
         if not kept:
             clearest = p
         if p > CLAIM:
             break
-        kept.append((shapes[int(np.flatnonzero(seen)[top])], p))
+        kept.append((clear, p))
         taken |= set(kept[-1][0].members)
         added = np.array([shape.profile * readings.scale for shape, _ in kept])
         wider = np.concatenate([prediction.columns, added.T], axis=1)

@@ -56,32 +56,38 @@ def noise_from_repeats(measurements: Measurements) -> dict[tuple[str, str], Repe
     Returns
     -------
     dict of (specimen, quantity) to Repeats
-        Quantities that were never repeated are not in it.
+        Quantities that were never repeated are not in it, nor those that scatter by
+        less than rounding to their last digit does.
     """
     squares: dict[tuple[str, str], float] = {}
     degrees: dict[tuple[str, str], int] = {}
     devices: dict[tuple[str, str], dict[str, None]] = {}
+    grid: dict[tuple[str, str], float] = {}
     for runs in _repeated(measurements):
         first = runs[0]
-        for name in first.outputs:
-            for branch in np.unique(first.branch):
-                load, values = _shared(runs, name, str(branch))
+        names = dict.fromkeys(name for curve in runs for name in curve.outputs)
+        branches = sorted({str(one) for curve in runs for one in curve.branch})
+        for name in names:
+            for branch in branches:
+                load, values = _shared(runs, name, branch)
                 runs_there, steps = values.shape
                 order = 2 if steps >= LINE else 1
                 free = (runs_there - 1) * (steps - order)
-                if free < 1 or np.ptp(load) == 0:
+                if not steps or free < 1 or np.ptp(load) == 0:
                     continue
                 lack = values - values.mean(axis=0)
-                line = np.vander(load / load.max(), order)
+                line = np.vander(load / np.abs(load).max(), order)
                 lack = lack.T - line @ np.linalg.lstsq(line, lack.T, rcond=None)[0]
                 key = (first.specimen, name)
                 squares[key] = squares.get(key, 0.0) + float((lack**2).sum())
+                grid[key] = max(grid.get(key, 0.0), _last_digit(values))
                 degrees[key] = degrees.get(key, 0) + free
                 devices.setdefault(key, {})[first.device] = None
     return {
         key: Repeats(math.sqrt(squares[key] / free), free, tuple(devices[key]))
         for key, free in degrees.items()
-        if squares[key] > 0
+        # What scatters by less than its last digit was rounded away, or copied.
+        if squares[key] > free * grid[key] ** 2 / 12
     }
 
 
@@ -111,6 +117,22 @@ def _shared(runs: list[Curve], name: str, branch: str) -> tuple[Array, Array]:
         return np.zeros(0), np.zeros((0, 0))
     loads = sorted(set.intersection(*(set(row) for row in rows)))
     return np.array(loads), np.array([[row[p] for p in loads] for row in rows])
+
+
+def _last_digit(values: Array) -> float:
+    """Largest power of ten, SI, of which all values (m, s) are multiples.
+
+    At least a part in 1e9 of the largest of them.
+    """
+    largest = float(np.abs(values).max())
+    if largest == 0:
+        return 0.0
+    place = math.floor(math.log10(largest))
+    for digits in range(9):
+        step: float = 10.0 ** (place - digits)
+        if np.abs(values / step - np.round(values / step)).max() < 1e-6:
+            return step
+    return largest * 1e-9
 
 
 def _rounded(load: float) -> float:

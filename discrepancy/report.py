@@ -104,12 +104,16 @@ def _head(
     )
     text = escape(verdict(ranking, next_measurement))
     yield f'<p class="verdict {escape(ranking.verdict)}">{text}</p>'
-    yield paragraph(
-        "On devices left out of the fit, the baseline errs by "
-        f"{ranking.baseline_error:.2f} times the noise; a model with the right physics "
-        f"would err by about {ranking.noise_floor:.2f}, since each new device has its "
-        "own tolerances."
-    )
+    if math.isfinite(ranking.baseline_error):
+        words = (
+            "On devices left out of the fit, the baseline errs by "
+            f"{ranking.baseline_error:.2f} times the noise; a model with the right "
+            f"physics would err by about {ranking.noise_floor:.2f}, since each new "
+            "device has its own tolerances."
+        )
+    else:
+        words = "No device can be left out to judge by: there is but one."
+    yield paragraph(words)
 
 
 def _candidates(study: Study, ranking: Ranking) -> Iterator[str]:

@@ -89,7 +89,7 @@ def sharpen(study: Study, one: Fit) -> list[Sharpening]:
     names = [p.parameter.name for p in one.hypothesis.priors]
     now = deviations(one)
     found = []
-    for words, curve in proposals(study, ["+".join(effects)]):
+    for words, curve in proposals(study, ["+".join(effects)], one.noise):
         curves = (*study.measurements.curves, curve)
         try:
             more = Study(
@@ -102,7 +102,7 @@ def sharpen(study: Study, one: Fit) -> list[Sharpening]:
             )
         except InputError:
             continue
-        then = carried(more, [one])
+        then = carried(study, more, [one])
         if then is None:
             continue
         share = deviations(then[0]) / now

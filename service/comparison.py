@@ -74,7 +74,7 @@ def _subject(kind: Kind, comparison: Comparison) -> str:
     return words
 
 
-def _group(failure: Failure) -> str:
+def _group(failure: Failure, comparison: Comparison) -> str:
     """``devices with an upper layer under 80 um``."""
     region = failure.region
     names = {"bulge": "bulge specimens", "tensile": "tensile specimens"}
@@ -82,6 +82,16 @@ def _group(failure: Failure) -> str:
     if not region.trait:
         if region.devices == 1:
             return failure.devices[0]
+        kind = region.kind
+        whole = {
+            curve.device
+            for curve in comparison.measurements.curves
+            if curve.specimen == kind.specimen
+            and kind.quantity in curve.outputs
+            and math.isclose(curve.orientation, kind.orientation, abs_tol=1e-9)
+        }
+        if region.devices < len(whole):
+            return f"the {region.devices} {plural} measured there"
         return f"all {region.devices} {plural}"
     bench = NUMBERS[region.trait].bench
     side = "over" if region.above else "under"
@@ -132,8 +142,8 @@ def failure_text(failure: Failure, comparison: Comparison) -> str:
         where = f" at {at}" if load.unit else f" at stretch {at}"
     subject = _subject(region.kind, comparison)
     return (
-        f"{subject[0].upper()}{subject[1:]} of {_group(failure)}, {_loads(failure)}: "
-        f"measured {size}{over} {side} the model{where}, on average "
+        f"{subject[0].upper()}{subject[1:]} of {_group(failure, comparison)}, "
+        f"{_loads(failure)}: measured {size}{over} {side} the model{where}, on average "
         f"{abs(failure.noises):.2g} times the noise."
     )
 

@@ -237,7 +237,7 @@ def test_what_to_measure_next_is_worth_it(monkeypatch: pytest.MonkeyPatch) -> No
     assert deviations(made.fit)[0] == pytest.approx(
         made.fit.std()[0] / made.fit.hypothesis.priors[0].slope(0.0), rel=0.2
     )
-    all_of_them = proposals(made.study, ["cure_mismatch"])
+    all_of_them = proposals(made.study, ["cure_mismatch"], made.fit.noise)
     chosen = [one for one in all_of_them if "finely" in one[0] or "strip" in one[0]]
     monkeypatch.setattr("discrepancy.sharpen.proposals", lambda *_: iter(chosen))
     assert len(chosen) == 3  # strips of two batches: a mismatch does not act on them

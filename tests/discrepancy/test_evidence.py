@@ -106,7 +106,7 @@ def test_calibrations_are_integrated_out() -> None:
         tuple(frame.turn @ s for s in shapes),
     )
     size = dict(zip(hyper.names, np.exp(eta), strict=True))
-    from discrepancy.noise import smooth_kernel
+    from discrepancy.noise import LENGTH, smooth_kernel
 
     dense = columns @ columns.T
     for g in (0, 1):
@@ -117,7 +117,8 @@ def test_calibrations_are_integrated_out() -> None:
     for c in range(4):
         at = np.flatnonzero(readings.curve == c)
         g = readings.group[at[0]]
-        kernel = smooth_kernel(readings.place[at], readings.path[at])
+        reach = readings.place[at].max()
+        kernel = smooth_kernel(readings.place[at], readings.path[at], LENGTH * reach)
         block = kernel * readings.scale[at[0]] ** 2
         dense[np.ix_(at, at)] += size[f"smooth {g}"] ** 2 * block
     y = readings.value

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,3 +75,40 @@ def test_few_shared_loads_take_an_offset_only() -> None:
     rng = np.random.default_rng(4)
     found = noise_from_repeats(runs(2, rng, 1e-6, LOAD[:3]))
     assert found["actuator", "inflation"].degrees == 2
+
+
+def test_vacuum_is_a_load_too() -> None:
+    rng = np.random.default_rng(5)
+    load = np.array([0.0, -5, -10, -15]) * KPA
+    found = noise_from_repeats(runs(3, rng, 1e-6, load))
+    assert found["actuator", "inflation"].degrees == 4
+
+
+def test_what_rounding_hides_is_no_noise() -> None:
+    """Of runs that agree to the last digit, or were copied, nothing is known."""
+    rng = np.random.default_rng(6)
+    first = runs(1, rng, 1e-6).curves[0]
+
+    def again(digits: int, noise: float, shift: float = 0.0) -> Measurements:
+        curves = []
+        for run in (1, 2, 3):
+            values = first.values + run * shift
+            values = values + noise * rng.standard_normal(values.shape)
+            curves.append(replace(first, run=run, values=np.round(values, digits)))
+        return Measurements(tuple(curves))
+
+    assert noise_from_repeats(again(6, 0.0)) == {}
+    assert noise_from_repeats(again(12, 0.0, shift=1e-5)) == {}
+    assert noise_from_repeats(again(6, 1e-9)) == {}
+    found = noise_from_repeats(again(6, 2e-6))["actuator", "inflation"]
+    assert found.std == pytest.approx(2e-6, rel=0.6)
+
+
+def test_a_quantity_may_be_missing_in_the_first_run() -> None:
+    rng = np.random.default_rng(7)
+    measured = runs(3, rng, 1e-6).curves
+    blind = replace(measured[0], run=9, outputs=("tip_deflection",))
+    for order in ((blind, *measured), (*measured, blind)):
+        assert set(noise_from_repeats(Measurements(order))) == {
+            ("actuator", "inflation")
+        }
