@@ -105,10 +105,10 @@ def _reach(value: float) -> float:
 def _hover(one: Rung) -> str:
     lines = [
         f"<b>{plain(one.name)}</b>",
-        f"{one.heldout_error:.3g}",
+        f"{one.heldout_error:.3g}, 90 % {one.low:.3g} to {one.high:.3g}"
+        if math.isfinite(one.heldout_error)
+        else "no device was left out",
     ]
-    if math.isfinite(one.low):
-        lines[1] += f", 90 % {one.low:.3g} to {one.high:.3g}"
     if math.isfinite(one.ratio):
         lines.append(
             f"{one.ratio:.3g} times the rung before, "

@@ -122,7 +122,7 @@ _CONDITION = {
     for one in (
         _of(PRESSURE, -101.325e3, 1e6),
         _column("stretch", "", 0.1, 20.0),
-        _column("time", "s", -1e9, 1e9),
+        _column("time", "s", -1e10, 1e10),
         _column("orientation", "deg", -360 * DEG, 360 * DEG),
         Column(Bench("run", "run", "", 1.0), "number", 1, 1e6, whole=True),
     )
@@ -152,6 +152,7 @@ def column_of(header: str) -> tuple[str, float] | None:
     for sign, plain in _SPELLINGS.items():
         text = text.replace(sign, plain)
     text = re.sub(r"[\s\[\](){}/]+", "_", text).strip("_")
+    text = re.sub(r"_(sd|stdev|stddev|sigma)(?=_|$)", "_std", text, flags=re.I)
     lower = text.lower()
     if lower in TEXTS:
         return lower, 1.0

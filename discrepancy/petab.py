@@ -151,7 +151,7 @@ def _files(path: Path) -> dict[str, list[Path]]:
         if problems:
             return _files(problems[0])
         tables = sorted(path.glob("*.tsv"))
-        files = {kind: [t for t in tables if kind in t.name.lower()] for kind in KINDS}
+        files = {kind: [t for t in tables if _holds(t, kind)] for kind in KINDS}
     else:
         files = _listed(path)
     for kind in KINDS[:3]:
@@ -160,6 +160,12 @@ def _files(path: Path) -> dict[str, list[Path]]:
                 path, f"has no table of {kind}s; allowed: a PEtab problem with one"
             )
     return files
+
+
+def _holds(table: Path, kind: str) -> bool:
+    """Whether a table is of a kind, by its name: `experimentalCondition` is one."""
+    name = table.name.lower()
+    return kind in name and not (kind == "experiment" and "condition" in name)
 
 
 def _listed(path: Path) -> dict[str, list[Path]]:
@@ -283,10 +289,19 @@ def _experiments(
     experiments: dict[str, list[tuple[float, _Setting]]] = {}
     for name, steps in periods.items():
         setting, experiments[name] = _Setting(), []
+        fresh: set[str] = set()
         for time, condition, place in sorted(steps, key=lambda step: step[0]):
+            own = conditions.get(condition, _Setting())
             if experiments[name] and experiments[name][-1][0] == time:
-                complaints.add(place, f"time: {time:g} is there already for {name!r}")
-            setting = conditions.get(condition, _Setting()).over(setting)
+                # Conditions of one time act together, each on targets of its own.
+                del experiments[name][-1]
+                for target in sorted(fresh & set(own.texts)):
+                    words = f"{target}: set twice at time {time:g} of {name!r}"
+                    complaints.add(place, words)
+            else:
+                fresh = set()
+            fresh |= set(own.texts)
+            setting = own.over(setting)
             experiments[name].append((time, setting))
     return experiments
 
@@ -434,6 +449,7 @@ def _rows(
         rows[key].places.update(dict.fromkeys(texts, place))
     if any(row.texts.get("run") for row in rows.values()):
         factors.setdefault("run", 1.0)
+        _number_runs(list(rows.values()), warnings)
     clocked = not all(time in (0.0, float("inf")) for time in times.values())
     order = {key[0]: i for i, key in reversed(list(enumerate(rows)))}
     if experiments:
@@ -446,3 +462,16 @@ def _rows(
             rows[key].texts["time"] = f"{times[key]!r}".removesuffix(".0")
             rows[key].places.pop("time", None)
     return [rows[key] for key in sequence]
+
+
+def _number_runs(rows: list[Row], warnings: list[str]) -> None:
+    """Runs of each device by number, in order, where replicates have other names."""
+    if all(NUMBER.fullmatch(row.texts.get("run", "1")) for row in rows):
+        return
+    runs: dict[str, dict[str, int]] = {}
+    for row in rows:
+        known = runs.setdefault(row.texts.get("device", ""), {})
+        name = row.texts.get("run", "")
+        row.texts["run"] = str(known.setdefault(name, len(known) + 1))
+    names = ", ".join(f"{n!r} is {i}" for n, i in next(iter(runs.values())).items())
+    warnings.append(f"{short(rows[0].place)}: replicates are taken for runs: {names}")

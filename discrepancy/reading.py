@@ -53,6 +53,15 @@ LEAST_DIP = 20e-6
 """m.  A roof lower than at rest by more than this, and by three standard deviations,
 is reported: noise of a camera is smaller."""
 
+JITTER = 0.01
+"""Of the largest load: smaller loads, and smaller steps back, are a gauge's."""
+
+CLOCK = 1e8
+"""s.  Three years: a time of that size is a date, and not a test's."""
+
+LATE = 20.0
+"""Steps of a test before its first reading from which on that is told."""
+
 PROBLEM_FILES = (".yaml", ".yml")
 """Endings of PEtab's problem files, which name the tables."""
 
@@ -138,6 +147,8 @@ def _measurements(
         )
     devices = _devices(readings, complaints, warnings)
     complaints.settle()
+    for name, device in devices.items():
+        _start_clock(name, device, warnings)
     curves = []
     for name, device in devices.items():
         _check_values(device, complaints, warnings)
@@ -263,6 +274,33 @@ def _devices(
         key = (int(reading.get("run", 1)), reading.get("orientation", 0.0))
         device.curves.setdefault(key, []).append(reading)
     return devices
+
+
+def _start_clock(name: str, device: _Device, warnings: list[str]) -> None:
+    """Let time count from the beginning of a device's test, where a clock's is given.
+
+    A device is at rest at time 0, and its first load step begins there.
+    """
+    runs = [[r for r in rows if "time" in r.numbers] for rows in device.curves.values()]
+    if not any(runs):
+        return
+    first = min((run for run in runs if run), key=lambda run: run[0].get("time"))
+    begun = first[0].get("time")
+    steps = np.diff([reading.get("time") for reading in first])
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    place = f"{short(first[0].row.place)}: device {name!r}, "
+    if abs(begun) >= CLOCK:
+        for reading in (reading for run in runs for reading in run):
+            reading.numbers["time"] -= begun - step
+        warnings.append(
+            f"{place}time_s: {begun:.10g} s is a clock's; time is counted from "
+            f"{step:.4g} s, one step, before the first reading"
+        )
+    elif begun > LATE * step and len(first) > 1:
+        warnings.append(
+            f"{place}time_s: the first reading is at {begun:.6g} s, the others are "
+            f"{step:.4g} s apart; time counts from when the load was first applied"
+        )
 
 
 def _shown(name: str, value: float | str | None) -> str:
@@ -422,15 +460,18 @@ def _find_unloading(rows: list[Reading]) -> Reading | None:
     if any("branch" in reading.row.texts for reading in rows):
         return None
     loads = [reading.load for reading in rows]
-    if min(loads) < 0 < max(loads):
+    jitter = JITTER * float(size.max())
+    if min(loads) < -jitter and max(loads) > jitter:
         return None  # into vacuum is another loading, not the way back
     # One row that goes back may as well be one too many.
     if not 0 < first <= last < len(rows) - 2 or last - first >= len(top):
         return None
     timed = "time" in rows[0].numbers
     on = np.concatenate([np.diff(size[: first + 1]), -np.diff(size[last:])])
-    if (on < 0).any() or (not timed and ((on == 0).any() or len(top) > 2)):
+    if (on < -jitter).any() or (not timed and ((on == 0).any() or len(top) > 2)):
         return None
+    while timed and last < len(rows) - 1 and size[last + 1] >= size.max() - jitter:
+        last += 1
     back = last + 1 if timed else first + 1
     for reading in rows[back:]:
         reading.branch = UNLOADING

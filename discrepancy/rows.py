@@ -13,9 +13,6 @@ from .columns import DESIGN_NAMES, NUMBERS, QUANTITY_NAMES, refusal
 from .measurement import LOADING, MEASURED, SPECIMENS, UNLOADING, folded
 from .table import MINUS, MISSING, NUMBER, Complaints, Row, Table
 
-LOADS = ("pressure", "stretch")
-"""Of which a specimen has one; the other may be empty in words."""
-
 WALL = 0.2e-3
 """m.  Wall of an undivided device, which has none: any will do."""
 
@@ -127,7 +124,7 @@ def _wall(
     """Wall between two balloons, which an undivided device need not state."""
     text = row.texts.get("wall", "")
     undivided = numbers.get("divisions_x") == numbers.get("divisions_y") == 1
-    empty = text.lower() in MISSING or not text.strip("0.,")
+    empty = not text.strip("0.,")
     if empty and undivided:
         return WALL
     if text:
@@ -139,10 +136,25 @@ def _wall(
     return None
 
 
+def _without_missing(row: Row, unread: dict[str, list[str]]) -> Row:
+    """The row without the words that programs write into empty fields.
+
+    Those in place of a reading go to `unread`, to be told.
+    """
+    texts = {}
+    for name, text in row.texts.items():
+        if name == "device" or text.lower() not in MISSING:
+            texts[name] = text
+        elif name in QUANTITY_NAMES or name.endswith("_std"):
+            unread.setdefault(text, []).append(row.where(name))
+    return Row(row.place, texts, row.places)
+
+
 def read_row(
     row: Row, table: Table, complaints: Complaints, unread: dict[str, list[str]]
 ) -> Reading:
     """One row, each field checked by itself."""
+    row = _without_missing(row, unread)
     device = row.texts.get("device", "")
     if not device:
         complaints.add(row.place, "device: nothing is not allowed; allowed: a name")
@@ -161,12 +173,6 @@ def read_row(
     used = {name for group in needed(specimen) for name in group}
     for name, text in row.texts.items():
         if name not in NUMBERS or (name in DESIGN_NAMES and name not in used):
-            continue
-        if name in LOADS and name not in used and text.lower() in MISSING:
-            continue
-        reading = name in QUANTITY_NAMES or name.endswith("_std")
-        if reading and text.lower() in MISSING:
-            unread.setdefault(text, []).append(row.where(name))
             continue
         value = _number(row, name, text, table, complaints)
         if value is not None:

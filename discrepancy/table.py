@@ -30,7 +30,7 @@ MINUS = "\N{MINUS SIGN}"
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """A number whose comma may part thousands as well as be a decimal one."""
 
-MISSING = {"nan", "na", "n/a", "#n/a", "-", "none", "null"}
+MISSING = {"nan", "na", "n/a", "#n/a", "#nv", "-", "none", "null"}
 """Words that programs write for a value that is not there, in lower case."""
 
 ENOUGH = 3
@@ -279,6 +279,7 @@ def read_table(path: Path, data: bytes) -> Table:
     complaints.settle()
     rows = []
     cut: list[tuple[str, str]] = []
+    nameless: list[tuple[int, str, str]] = []
     for number, texts in lines_of(path, text, separator):
         if number <= top:
             continue
@@ -296,10 +297,17 @@ def read_table(path: Path, data: bytes) -> Table:
         if lacking:
             cut.append((here, f"{len(texts)} fields, but {len(headings)} headings"))
         own = {n: t for n, t in zip(fields, texts, strict=False) if n and t}
-        for heading, known, one in zip(headings, fields, texts, strict=False):
-            if known is None and not heading and one:
-                complaints.add(here, f"{one!r} stands in a column without a heading")
+        for position, (heading, one) in enumerate(zip(headings, texts, strict=False)):
+            if not heading and one:
+                nameless.append((position, here, one))
         rows.append(Row(here, own))
+    if nameless and _counts_rows(nameless, len(rows)):
+        words = "without a heading: holds the numbers of the rows and is left out"
+        warnings.append(f"{path.name}:{top}: first column {words}")
+        nameless = []
+    for position, here, one in nameless:
+        words = f"{one!r} stands in column {position + 1}, which has no heading; "
+        complaints.add(here, f"{words}allowed: a heading over every column")
     complaints.settle()
     if not rows:
         raise FileError(place, "no readings below the headings")
@@ -312,6 +320,17 @@ def read_table(path: Path, data: bytes) -> Table:
     decimal = decimal_sign(path, rows)
     told = tuple(warnings), tuple(unknown)
     return Table(path, place, factors, tuple(rows), decimal, *told)
+
+
+def _counts_rows(nameless: list[tuple[int, str, str]], rows: int) -> bool:
+    """Whether the first column alone has no heading, and numbers the rows from 0 or 1.
+
+    Data frames are written so.
+    """
+    found = [text for column, _, text in nameless if column == 0]
+    return len(found) == len(nameless) and any(
+        found == [str(i) for i in range(start, rows + start)] for start in (0, 1)
+    )
 
 
 def _unknown(heading: str) -> str:

@@ -66,7 +66,7 @@ KINDS: Mapping[str, Kind] = {
 FURTHER_WORDS = {"case": "1, 2, 3 or 4"}
 """What is allowed, in better words than pydantic's."""
 
-UNITS = {"s": "s", "pct": "%", "um": "um"}
+UNITS = {"s": "s", "pct": "%", "um": "um", "minutes": "min"}
 """Of fields that are no design's, by the end of their names."""
 
 LONGEST = 2000

@@ -18,15 +18,12 @@ from fastapi.responses import JSONResponse, Response
 from datagen.errors import InputError
 
 from .jobs import Job, payload_key
-from .measurements import MeasurementFiles, tolerances
+from .measurements import NAMELESS, MeasurementFiles, own_name, tolerances
 from .routes import ACCEPTED, BODY, Service, Shared, accepted, errors, known_effects
 from .schemas import AdoptionIn, JobOut, MeasuredIn, MeasurementsOut, RankingIn
 from .tasks import fem_version
 
 router = APIRouter(responses=errors(422, 500))
-
-NAMELESS = "measurements.csv"
-"""Name of a file that comes without one."""
 
 
 KEPT: dict[int | str, dict[str, Any]] = {
@@ -102,18 +99,14 @@ async def _sent(request: Request) -> tuple[str, bytes]:
         files = [one for _, one in form.multi_items() if not isinstance(one, str)]
         if len(files) != 1:
             raise InputError("form", f"{len(files)} files", "one file")
-        return files[0].filename or NAMELESS, await files[0].read()
+        return own_name(files[0].filename or "") or NAMELESS, await files[0].read()
 
 
 @router.get("/v1/measurements")
 def list_measurements(service: Shared) -> dict[str, list[dict[str, str]]]:
     """Kept files, the newest first."""
-    files = files_of(service)
-    return {
-        "measurements": [
-            {"id": one, "name": files.path(one).name} for one in files.all()
-        ]
-    }
+    kept = files_of(service).names()
+    return {"measurements": [{"id": one, "name": kept[one]} for one in kept]}
 
 
 @router.get("/v1/measurements/{identity}", responses=errors(404))

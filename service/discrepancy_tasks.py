@@ -59,7 +59,7 @@ def compare(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     with _solver(payload, report) as solver:
         (measured,) = measured_of(payload)
         study = Study(measured, solver, level=level, fast=level, effects=())
-        return comparison_json(hold(study), level)
+        return comparison_json(hold(study, payload["seed"]), level)
 
 
 def rank(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:

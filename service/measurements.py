@@ -10,6 +10,7 @@ import re
 import shutil
 import uuid
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,11 @@ LENGTH = 16
 
 ID = re.compile(rf"[0-9a-f]{{{LENGTH}}}")
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._()+-]{0,99}")
-"""Names that a file may have here."""
+LONGEST = 100
+"""Characters of a file's name."""
+
+NAMELESS = "measurements.csv"
+"""Of a file that was sent without a name."""
 
 
 class MeasurementsNotFound(PbaError):
@@ -60,8 +64,10 @@ class MeasurementFiles:
         FileError
             When it cannot be kept.
         """
-        if not NAME.fullmatch(name):
-            allowed = "letters, digits, blanks and ._()+-, at most 100"
+        if not name or own_name(name) != name:
+            allowed = (
+                f"1 to {LONGEST} characters that can be seen, no / or \\, no . first"
+            )
             raise InputError("name", name, allowed)
         if Path(name).suffix.lower() in PROBLEM_FILES:
             # It names other files, and those here are nobody's to read.
@@ -91,8 +97,9 @@ class MeasurementFiles:
         MeasurementsNotFound
         """
         if ID.fullmatch(identity) and (self.folder / identity).is_dir():
-            for file in (self.folder / identity).iterdir():
-                return file
+            with suppress(FileNotFoundError):  # removed meanwhile
+                for file in (self.folder / identity).iterdir():
+                    return file
         raise MeasurementsNotFound(f"no measurements have the id {identity!r}")
 
     def all(self) -> Iterator[str]:
@@ -100,8 +107,16 @@ class MeasurementFiles:
         if not self.folder.is_dir():
             return
         kept = [one for one in self.folder.iterdir() if ID.fullmatch(one.name)]
-        for one in sorted(kept, key=lambda one: -one.stat().st_mtime):
+        for one in sorted(kept, key=_age):
             yield one.name
+
+    def names(self) -> dict[str, str]:
+        """Name of each file by its id, the newest first."""
+        found = {}
+        for identity in self.all():
+            with suppress(MeasurementsNotFound):  # removed meanwhile
+                found[identity] = self.path(identity).name
+        return found
 
     def remove(self, identity: str) -> None:
         """Forget a file; what was worked out from it stays.
@@ -124,6 +139,23 @@ class MeasurementFiles:
         """
         path = self.path(identity)
         return {"id": identity, "name": path.name} | about(read_measurements(path))
+
+
+def own_name(name: str) -> str:
+    """A file's name as it may be here, of what a client calls it.
+
+    Clients may send a path, of their own system.
+    """
+    last = re.split(r"[\\/]", name)[-1].lstrip(".").strip()
+    seen = "".join(sign if sign.isprintable() else "_" for sign in last)
+    return seen[:LONGEST]
+
+
+def _age(folder: Path) -> float:
+    try:
+        return -folder.stat().st_mtime
+    except FileNotFoundError:  # removed meanwhile
+        return 0.0
 
 
 def _check(path: Path) -> None:

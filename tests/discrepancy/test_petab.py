@@ -143,6 +143,48 @@ def test_version_2(tmp_path: Path) -> None:
     assert curve.output("inflation") == pytest.approx([0, 110e-6, 170e-6, 60e-6])
 
 
+def test_conditions_of_one_time_act_together(tmp_path: Path) -> None:
+    tables = version_2()
+    tables["experiments"] = [
+        {"experimentId": "first", "time": time, "conditionId": condition}
+        for time, condition in (("0", "S1"), ("10", "p10"), ("10", "upside"))
+    ]
+    tables["conditions"] = [
+        row for row in tables["conditions"] if row["targetId"] != "pressure_kPa"
+    ] + [
+        {"conditionId": "p10", "targetId": "pressure_kPa", "targetValue": "10"},
+        {"conditionId": "upside", "targetId": "orientation_deg", "targetValue": "180"},
+    ]
+    tables["measurements"] = tables["measurements"][2:3]
+    (curve,) = read_petab(folder(tmp_path, tables)).curves
+    assert curve.pressure == pytest.approx([10e3])
+    assert curve.orientation == pytest.approx(np.pi)
+    tables["conditions"].append(
+        {"conditionId": "upside", "targetId": "pressure_kPa", "targetValue": "20"}
+    )
+    with pytest.raises(MeasurementError, match="pressure: set twice at time 10 of"):
+        read_petab(folder(tmp_path, tables))
+
+
+def test_names_as_in_the_benchmark_collection(tmp_path: Path) -> None:
+    """`experimentalCondition` is no table of experiments, replicates have names."""
+    tables = version_1()
+    for row in tables["measurements"]:
+        row["replicateId"] = f"rep_{row['replicateId']}"
+    plain = read_petab(folder(tmp_path / "plain", version_1()))
+    names = {
+        "measurements": "measurementData_x",
+        "conditions": "experimentalCondition_x",
+        "observables": "observables_x",
+    }
+    named = {names[kind]: table for kind, table in tables.items()}
+    found = read_petab(folder(tmp_path / "named", named))
+    assert [curve.run for curve in found.curves] == [1, 2]
+    assert found.readings == plain.readings
+    (warning,) = [line for line in found.warnings if "replicates" in line]
+    assert "'rep_1' is 1, 'rep_2' is 2" in warning
+
+
 @pytest.mark.parametrize("make", [version_1, version_2])
 def test_a_problem_file_names_its_tables(
     tmp_path: Path, make: Callable[[], dict[str, Table]]

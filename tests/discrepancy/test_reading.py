@@ -295,6 +295,91 @@ def test_loads_that_are_held(
     assert list(curve.branch) == ["loading"] * loading + ["unloading"] * back
 
 
+def test_a_gauge_that_drifts_does_not_hide_the_way_back(tmp_path: Path) -> None:
+    for loads in ("-0.02 10 20 30 19 9 -0.01", "10 20 30 29.9 20.1 20.2 10 0.01"):
+        steps = [{"pressure_kPa": p} for p in loads.split()]
+        (curve,) = read_measurements(write(tmp_path, *steps)).curves
+        up = 1 + loads.split().index("30")
+        back = len(steps) - up
+        assert list(curve.branch) == ["loading"] * up + ["unloading"] * back
+
+
+def timed(*seconds: float) -> list[dict[str, str]]:
+    return [
+        {"pressure_kPa": str(10 * i), "time_s": f"{s:.10g}"}
+        for i, s in enumerate(seconds, 1)
+    ]
+
+
+@pytest.mark.parametrize("epoch", [1.75e9, 3.8e9])
+def test_a_computers_clock_is_set_to_the_tests(tmp_path: Path, epoch: float) -> None:
+    """Runs keep the rest between them."""
+    first = timed(epoch, epoch + 10, epoch + 20)
+    again = [one | {"run": "2"} for one in timed(epoch + 500, epoch + 510, epoch + 520)]
+    found = read_measurements(write(tmp_path, *first, *again))
+    times = [curve.time for curve in found.curves]
+    assert times[0] == pytest.approx([10, 20, 30])
+    assert times[1] == pytest.approx([510, 520, 530])
+    (warning,) = found.warnings
+    assert "is a clock's; time is counted from 10 s, one step, before" in warning
+
+
+def test_a_clock_that_runs_before_the_test_is_told(tmp_path: Path) -> None:
+    found = read_measurements(write(tmp_path, *timed(3600, 3601, 3602)))
+    assert found.curves[0].time == pytest.approx([3600, 3601, 3602])
+    (warning,) = found.warnings
+    assert "the first reading is at 3600 s, the others are 1 s apart" in warning
+    assert not read_measurements(write(tmp_path, *timed(10, 20, 30))).warnings
+
+
+def test_milliseconds_of_a_clock_are_told_as_such(tmp_path: Path) -> None:
+    path = write(tmp_path, *timed(1.75e12, 1.75e12 + 1e4))
+    with pytest.raises(MeasurementError, match=r"probably meant in ms.* 1\.75e\+09 s"):
+        read_measurements(path)
+
+
+@pytest.mark.parametrize(("start", "corner"), [(0, ""), (1, '""')])
+def test_the_index_of_a_data_frame_is_left_out(
+    tmp_path: Path, start: int, corner: str
+) -> None:
+    head, *lines = text_of(rows(*LOADS), ",").splitlines()
+    numbered = [f"{i},{line}" for i, line in enumerate(lines, start)]
+    path = tmp_path / "frame.csv"
+    path.write_text("\n".join([f"{corner},{head}", *numbered]) + "\n")
+    found = read_measurements(path)
+    assert found.readings == read_measurements(write(tmp_path, *LOADS)).readings
+    (warning,) = found.warnings
+    assert "holds the numbers of the rows and is left out" in warning
+    path.write_text("\n".join([f"{corner},{head}", *reversed(numbered)]) + "\n")
+    with pytest.raises(MeasurementError, match="column 1, which has no heading; allow"):
+        read_measurements(path)
+
+
+@pytest.mark.parametrize("word", ["NaN", "NA", "#NV"])
+def test_programs_fill_empty_fields_with_words(tmp_path: Path, word: str) -> None:
+    """Of other specimens' columns, and of what need not be given."""
+    names = (
+        *("length_mm", "width_mm", "balloon_start_mm", "wall_mm", "divisions_x"),
+        *("divisions_y", "cavity_height_um", "lower_thickness_um"),
+        *("lower_modulus_MPa", "tip_deflection_mm", "orientation_deg", "run"),
+        *("branch", "time_s"),
+    )
+    empty = dict.fromkeys(names, word)
+    bulge = {"device": "B", "specimen": "bulge"} | empty
+    free = {"run": word, "branch": word, "orientation_deg": word, "time_s": word}
+    found = read_measurements(write(tmp_path, free, bulge))
+    assert [curve.specimen for curve in found.curves] == ["actuator", "bulge"]
+    assert [curve.run for curve in found.curves] == [1, 1]
+    with pytest.raises(MeasurementError, match="length_mm: nothing is not allowed"):
+        read_measurements(write(tmp_path, {"length_mm": word}))
+
+
+@pytest.mark.parametrize("name", ["inflation_mm_sd", "inflation_SD_mm"])
+def test_standard_deviations_have_other_names(tmp_path: Path, name: str) -> None:
+    (curve,) = read_measurements(write(tmp_path, {name: "0.002"})).curves
+    assert curve.std[0, curve.outputs.index("inflation")] == pytest.approx(2e-6)
+
+
 def test_a_specimen_that_states_both_layers_is_of_the_upper_one(tmp_path: Path) -> None:
     """And what it states of a device's other parts is not looked at."""
     strange = {"specimen": "bulge", "tip_deflection_mm": "", "divisions_x": "0"}

@@ -95,8 +95,8 @@ REFUSED: dict[str, tuple[list[dict[str, str]], int, str]] = {
     "no number for the design": (
         [{"length_mm": "NaN"}],
         2,
-        "length_mm: 'NaN' is not allowed; allowed: a plain number in mm, or nothing "
-        "where a reading is missing",
+        "length_mm: nothing is not allowed; allowed: a number in every row of "
+        "specimen actuator",
     ),
     "nothing for the design": (
         [{}, {"pressure_kPa": "20", "length_mm": ""}],
@@ -310,7 +310,7 @@ def test_all_problems_are_counted_and_kept(tmp_path: Path) -> None:
         (
             text_of(rows({"": "7"})),
             ":2",
-            "'7' stands in a column without a heading",
+            "'7' stands in column 18, which has no heading; allowed: a heading over",
         ),
         ("PK\3\4\0\0", "", "not a text file"),
     ],

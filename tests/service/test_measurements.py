@@ -14,6 +14,7 @@ from datagen.errors import InputError
 from discrepancy.writing import measurements_text
 from service.app import KINDS, Settings, create_app
 from service.discrepancy_tasks import measured_of
+from service.measurements import MeasurementFiles
 from tests.discrepancy.made import MISMATCH, measured
 from tests.service.fakes import FakeSurrogate
 
@@ -132,6 +133,7 @@ def test_unknown_measurements(client: TestClient) -> None:
         ("effects", ["nonsense"]),
         ("level", "rough"),
         ("camera_tolerance_pct", -1),
+        ("thickness_tolerance_um", 1000),
         ("seed", 0.5),
         ("colour", "red"),
     ],
@@ -167,6 +169,39 @@ def test_ranking_and_its_report(client: TestClient, identity: str) -> None:
     page = client.get(f"/v1/jobs/{job['id']}/file")
     assert "cure_mismatch" in page.text and page.text.startswith("<!DOCTYPE html>")
     assert page.headers["Content-Disposition"].endswith('.html"')
+
+
+@pytest.mark.parametrize(
+    ("sent", "kept"),
+    [
+        ("Messung März.csv", "Messung März.csv"),
+        ("_bench,1.csv", "_bench,1.csv"),
+        ("测量.csv", "测量.csv"),
+        ("C:\\data\\bench 2.csv", "bench 2.csv"),
+        (f"{'x' * 200}.csv", "x" * 100),
+    ],
+)
+def test_files_keep_the_names_that_people_give_them(
+    client: TestClient, csv: bytes, sent: str, kept: str
+) -> None:
+    content = csv.replace(b"swapped", f"swapped {len(sent)}".encode())
+    answer = client.post("/v1/measurements", files={"file": (sent, content)})
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["name"] == kept
+    assert client.delete(f"/v1/measurements/{answer.json()['id']}").status_code == 204
+
+
+def test_a_file_that_goes_during_a_listing_is_not_in_it(
+    tmp_path: Path, csv: bytes
+) -> None:
+    files = MeasurementFiles(tmp_path)
+    first = files.add("a.csv", csv)
+    other = files.add("b.csv", csv.replace(b"swapped", b"turned"))
+    listing = files.all()
+    files.remove(next(listing))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MeasurementFiles, "all", lambda _: iter([first, other]))
+        assert len(files.names()) == 1
 
 
 def test_forgotten(client: TestClient, csv: bytes) -> None:
