@@ -14,11 +14,15 @@ let form;
 let running = new AbortController(); // what is asked now; replaced by the next change
 let timer;
 let answers = []; // the curves: a surrogate's answer, then one of finite elements
+let job = null; // the finite elements' work for this page
+let told; // version of the model that answered when the heading was written
 
 // Whatever was under way is of no interest any more.
 function restart() {
   running.abort();
   running = new AbortController();
+  if (job) api.cancel(job.id).catch(() => {}); // it may have ended
+  job = null;
   view.showJob(null);
   return running.signal;
 }
@@ -58,12 +62,35 @@ async function update(signal) {
 
 async function show(list, signal) {
   answers = list;
-  const figure = await api.curves(answers, view.chosenQuantities(), signal);
+  await draw(signal);
   const newest = answers.at(-1);
-  view.showCurves(figure);
   view.showTable(newest);
   view.showWho(newest);
   view.outdated(false);
+  const quick = answers.find((one) => one.source === "surrogate");
+  if (quick && quick.model_version !== told) {
+    told = quick.model_version;
+    await showModel();
+  }
+}
+
+// The curves alone: which quantities are drawn says nothing of what is up to date.
+async function draw(signal) {
+  view.showCurves(await api.curves(answers, view.chosenQuantities(), signal));
+}
+
+// Another model may have been put into use since the page was opened.
+async function showModel() {
+  const { models, problem } = await api.models();
+  const model = models.find((one) => one.in_use);
+  const trained = model?.description?.n_train;
+  const effects = model?.effects.length ? ` with ${model.effects.join(", ")}` : "";
+  const parts = [
+    model ? `Model ${model.version}${effects}` : "No model answers",
+    trained ? `trained on ${trained} designs` : "",
+    problem,
+  ];
+  element("model").textContent = parts.filter(Boolean).join(", ");
 }
 
 // On request: also where the finite elements must answer, as a job if that takes long.
@@ -73,38 +100,48 @@ async function ask(source) {
   const request = form.request();
   if (request === null) return;
   view.showProgram(request);
-  const found = await api.check(request, signal);
-  view.showDerived(found);
+  const checked = await api.check(request, signal);
+  view.showDerived(checked);
   view.showDrawing(await api.drawing(request.design, signal));
   const beside =
-    source === "fem" && found.in_range
+    source === "fem" && checked.in_range
       ? [(await api.predict(request, signal)).answer]
       : [];
   if (beside.length) await show(beside, signal);
-  else if (!found.in_range) view.showBeyond(found);
+  else if (!checked.in_range) view.showBeyond(checked);
   const started = Date.now();
-  if (source === "fem" || !found.in_range) view.showJob("Finite elements at work");
+  if (source === "fem" || !checked.in_range) view.showJob("Finite elements at work");
   const body = { ...request, source, wait_s: WAIT_S };
-  let { answer, job } = await api.predict(body, signal);
-  if (job) answer = await finished(job, started, signal);
+  // Not broken off by a change: its work would go on, and nobody know of it.
+  const { answer, job: begun } = await api.predict(body);
+  if (signal.aborted && begun) api.cancel(begun.id).catch(() => {});
+  signal.throwIfAborted();
+  const found = answer ?? (await finished(begun, started, signal));
   view.showJob(null);
-  await show([...beside, answer], signal);
+  if (found) return show([...beside, found], signal);
+  if (beside.length) return; // its answer stands
+  view.showNothing("Cancelled.");
+  view.outdated(true);
 }
 
-async function finished(job, started, signal) {
-  element("cancel").onclick = () => guarded(() => api.cancel(job.id));
+// The job's answer; nothing where it was cancelled.
+async function finished(begun, started, signal) {
+  job = begun;
+  const stop = () => guarded(() => api.cancel(begun.id));
   while (job.status === "queued" || job.status === "running") {
     const seconds = Math.round((Date.now() - started) / 1000);
     const doing = job.status === "queued" ? "waiting for their turn" : "at work";
-    view.showJob(`Finite elements ${doing}, ${seconds} s`);
+    view.showJob(`Finite elements ${doing}, ${seconds} s`, stop);
     await new Promise((done) => setTimeout(done, POLL_MS));
     signal.throwIfAborted();
-    job = await api.job(job.id);
+    const now = await api.job(begun.id);
     signal.throwIfAborted();
+    job = now;
   }
-  if (job.result) return job.result;
-  const message = job.status === "cancelled" ? "Cancelled." : job.error.message;
-  throw new api.ApiError(0, { ...job.error, message });
+  const ended = job;
+  job = null;
+  if (ended.result || ended.status === "cancelled") return ended.result;
+  throw new api.ApiError(0, ended.error);
 }
 
 function download() {
@@ -117,21 +154,9 @@ function download() {
 }
 
 async function start() {
-  const [devices, { models, problem }] = await Promise.all([
-    api.devices(),
-    api.models(),
-  ]);
-  const model = models.find((one) => one.in_use);
-  const trained = model?.description?.n_train;
-  const effects = model?.effects.length ? ` with ${model.effects.join(", ")}` : "";
-  const parts = [
-    model ? `Model ${model.version}${effects}` : "No model answers",
-    trained ? `trained on ${trained} designs` : "",
-    problem,
-  ];
-  element("model").textContent = parts.filter(Boolean).join(", ");
+  const [devices] = await Promise.all([api.devices(), showModel()]);
   view.quantityBoxes(devices.quantities, () => {
-    if (answers.length) guarded(() => show(answers, running.signal));
+    if (answers.length) guarded(() => draw(running.signal));
   });
   form = new Form(devices, changed);
   element("form").addEventListener("submit", (event) => {

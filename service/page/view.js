@@ -94,7 +94,7 @@ export function showBeyond(found) {
   element("summary").textContent =
     "The surrogate was not trained for this. Predict asks the finite elements, " +
     "which takes some seconds:";
-  reasons(found.reasons);
+  reasons([...found.reasons, ...found.notes]);
 }
 
 export function showNothing(message) {
@@ -136,9 +136,12 @@ function summary(answer) {
   return text;
 }
 
-export function showJob(text) {
+// `stop` cancels the work; without it there is nothing yet that could be.
+export function showJob(text, stop = null) {
   element("job").hidden = text === null;
   element("job-text").textContent = text ?? "";
+  element("cancel").hidden = stop === null;
+  element("cancel").onclick = stop;
 }
 
 export function showTable(answer) {
@@ -170,13 +173,15 @@ export function csv(answer) {
   const names = Object.keys(NAMES).filter((name) => name in answer);
   const columns = Object.keys(answer.design);
   const fields = names.flatMap((name) => [name, `${name}_low`, `${name}_high`]);
-  const lines = [["device", ...columns, "pressure_kPa", ...fields, "source"]];
+  const who = ["source", "model_version"];
+  const lines = [["device", ...columns, "pressure_kPa", ...fields, ...who]];
   answer.pressure_kPa.forEach((pressure, i) => {
     const values = names.flatMap((name) =>
       ["value", "low", "high"].map((key) => answer[name][key][i] ?? ""),
     );
     const design = columns.map((name) => answer.design[name]);
-    lines.push(["design", ...design, pressure, ...values, answer.source]);
+    const maker = [answer.source, answer.model_version];
+    lines.push(["design", ...design, pressure, ...values, ...maker]);
   });
   return lines.map((line) => line.join(",")).join("\n") + "\n";
 }

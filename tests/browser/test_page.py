@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 import threading
 import time
@@ -146,14 +147,57 @@ def test_a_job_can_be_cancelled(page: Page) -> None:
     assert page.is_hidden("#job")
 
 
+def test_a_cancelled_check_leaves_the_surrogates_answer(page: Page) -> None:
+    page.fill("#upper_thickness_um", "96")
+    page.wait_for_selector("#csv:enabled")
+    page.route(
+        re.compile("/v1/predict"),
+        lambda route, request: (
+            route.continue_(
+                post_data=json.dumps(
+                    {
+                        **request.post_data_json,
+                        "design": {
+                            **request.post_data_json["design"],
+                            "lower_thickness_um": 1903,
+                        },
+                    }
+                )
+            )
+            if request.post_data_json.get("source") == "fem"
+            else route.continue_()
+        ),
+    )
+    page.click("#fem")
+    waits_for(page, "#job-text", "Finite elements at work, ")
+    page.click("#cancel")
+    page.wait_for_selector("#job", state="hidden")
+    assert page.is_enabled("#csv")
+    assert page.inner_text("#source") == "Surrogate"
+
+
+def test_what_is_shown_says_nothing_of_what_is_up_to_date(page: Page) -> None:
+    page.fill("#lower_thickness_um", "1900")
+    waits_for(page, "#range", "outside the trained range")
+    page.check("#show-bending_angle_deg")
+    page.wait_for_function("() => document.getElementById('curves').layout.yaxis3")
+    assert page.inner_text("#range") == "outside the trained range"
+    assert page.is_disabled("#csv")
+    assert page.evaluate("document.getElementById('curves').classList.contains('old')")
+
+
 def test_a_change_leaves_a_running_job_behind(page: Page) -> None:
     page.fill("#lower_thickness_um", "1902")
     waits_for(page, "#range", "outside the trained range")
     page.click("#predict")
     waits_for(page, "#job-text", "Finite elements at work")
-    page.fill("#lower_thickness_um", "140")
+    with page.expect_response(
+        lambda answer: answer.request.method == "DELETE"
+    ) as cancelled:
+        page.fill("#lower_thickness_um", "140")
+    assert cancelled.value.json()["status"] in ("cancelled", "cancelling")
     waits_for(page, "#source", "Surrogate")
-    page.wait_for_timeout(2500)  # the job ends meanwhile; its answer is not shown
+    page.wait_for_timeout(2500)  # the job would end meanwhile
     assert page.inner_text("#source") == "Surrogate"
 
 
@@ -178,6 +222,7 @@ def test_download(page: Page, tmp_path: Path) -> None:
     assert len(rows) == 13
     assert rows[2]["pressure_kPa"] == "10"
     assert rows[2]["upper_thickness_um"] == "95"
+    assert (rows[2]["source"], rows[2]["model_version"]) == ("surrogate", "fake-1")
     low, value, high = (
         float(rows[2][f"tip_deflection_mm{end}"]) for end in ("_low", "", "_high")
     )
