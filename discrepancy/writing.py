@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.atomic import reason
+from datagen.atomic import write_text
 from datagen.device import Design
-from datagen.errors import FileError
 from datagen.specimens import Tensile
 
 from .columns import DESIGN_NAMES, NUMBERS, QUANTITY_NAMES
@@ -98,7 +97,4 @@ def write_measurements(measurements: Measurements, path: str | Path) -> None:
     FileError
         When the file cannot be written.
     """
-    try:
-        Path(path).write_text(measurements_text(measurements), encoding="utf-8")
-    except OSError as error:
-        raise FileError(path, f"cannot be written: {reason(error)}") from error
+    write_text(Path(path), measurements_text(measurements))
