@@ -39,6 +39,10 @@ Array = np.ndarray
 TOLERANCE, ITERATIONS = 2e-5, 12
 """Of the adjoints, see `solve_tangent`."""
 
+SPRUNG = 2e-7
+"""Tolerance of a body on springs: its adjoints are large where it turns on them, and
+what they are besides would drown in a share of that."""
+
 GOAL, ROUGH = 5e-4, 1e-3
 """See `Goal`."""
 
@@ -370,7 +374,7 @@ class Adjoint:
             corrector.linearised.times,
             corrector.solver,
             wanted,
-            TOLERANCE,
+            SPRUNG if self.problem.springs else TOLERANCE,
             ITERATIONS,
             guess,
             goal,

@@ -28,7 +28,7 @@ from .journey import Journey
 from .overlap import overlapping
 from .problem import Body, Problem
 from .response import OUTPUT_NAMES
-from .sensitivity import Direction, Sensitivity
+from .sensitivity import Direction, Sensitivity, follows_path
 
 Array = np.ndarray
 
@@ -86,10 +86,9 @@ class PathFollower:
         self._sensitivity: Sensitivity | Adjoint | None = None
         if directions:
             assert isinstance(problem, Problem), "outputs are those of a device"
-            changes = self._body_remembers or problem.swellings
-            self._sensitivity = (
-                Sensitivity if changes or problem.observers else Adjoint
-            )(problem, directions, self.workspace, self.corrector)
+            self._sensitivity = (Sensitivity if follows_path(problem) else Adjoint)(
+                problem, directions, self.workspace, self.corrector
+            )
         # Memories that fade ask for short steps in time.  Those of directions alone
         # take them between the points of the path.
         fades = any(getattr(law, "fades", False) for law in (*problem.laws, *laws))

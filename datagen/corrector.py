@@ -150,6 +150,8 @@ class Corrector:
         for _ in range(options.iterations):
             self.counters.iterations += 1
             ev = self.evaluate(x, pressure, dt, fresh, expected)
+            if not np.isfinite(ev.residual).all():
+                break  # chains are drawn past their length, say
             if fresh:
                 self.effort += 1
                 if self.effort > options.factorisations:

@@ -18,14 +18,17 @@ from typing import Any
 import numpy as np
 
 from .dataset import Dataset, space_to_json
-from .device import DESIGN_SPACE, MAX_PRESSURE
+from .device import DESIGN_SPACE, MAX_PRESSURE, Design
 from .errors import GenerationError, InputError, Interrupted
 from .parts import Manifest, Parts, inputs_digest, parts_folder, refusal
 from .pool import DaskPool, Failure, GivenExecutor, Pool, ProcessPool, solve_tasks
 from .space import Space
-from .worker import PROPER_ENDS, Row, Solve, Task, solve_row
+from .worker import PROPER_ENDS, Row, Solve, Task, solve_row, split_inputs
 
 Array = np.ndarray
+
+FIT_TRIES = 6
+"""Times that effects are halved where they do not fit a design."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +165,7 @@ def generate(
         raise InputError("scheduler", scheduler, "no executor beside it")
     active = tuple(sorted(effects))  # the order of their names changes nothing
     space = sampled_space(active)
-    inputs = space.sample(count, seed)[:rows]
+    inputs = fitted(space, space.sample(count, seed)[:rows], active)
     tasks = [
         Task(
             i,
@@ -204,6 +207,44 @@ def generate(
         solve=solve,
         known=known,
     )
+
+
+def fitted(space: Space, inputs: Array, effects: tuple[str, ...]) -> Array:
+    """The inputs (n, d) with effects that do not fit a design halved until they do.
+
+    An edge can move no further than there is room between it and the next.
+
+    Parameters
+    ----------
+    space : Space
+    inputs : (n, d) array, SI
+    effects : tuple of str
+
+    Raises
+    ------
+    InputError
+        When an effect does not even fit when it is all but off.
+    """
+    from .model import Model
+
+    if not effects:
+        return inputs
+    found = inputs.copy()
+    tuned = np.array(["." in name for name in space.names])
+    off = np.array([p.off if p.off is not None else np.nan for p in space])[tuned]
+    whole = np.array([p.scale == "integer" for p in space])[tuned]
+    for row in found:
+        for halved in range(FIT_TRIES + 1):
+            design, parameters = split_inputs(space.names, row, effects)
+            try:
+                Model(effects, "draft", parameters).problem(Design.from_sample(design))
+                break
+            except InputError:
+                if halved == FIT_TRIES:
+                    raise
+            half = off + (row[tuned] - off) / 2
+            row[tuned] = np.where(whole, np.trunc(half), half)
+    return found
 
 
 def _rows_of(path: Path, manifest: Manifest, inputs: Array, count: int) -> list[Row]:

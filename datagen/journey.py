@@ -39,6 +39,7 @@ class Journey:
         self.follower, self.keep_all = follower, keep_all
         self.far_enough = far_enough
         self.outcome = Outcome()
+        self._legs = 0  # begun so far
 
     def go(self, targets: Array, times: Array) -> Outcome:
         """Visit gauge pressures (s,), Pa, at their times (s,), s, in turn."""
@@ -56,6 +57,7 @@ class Journey:
         """Go to the pressure of one leg; True where the path ends before."""
         follower = self.follower
         problem = follower.problem
+        self._legs += 1
         target = problem.pressure_gain * leg.pressure + problem.pressure_offset
         held = target == follower.point.pressure
         try:
@@ -71,7 +73,9 @@ class Journey:
             return False
         follower.head_for(target)
         while True:
-            if follower.counters.steps >= follower.options.max_steps + leg.step:
+            # Each leg takes a step at least, and one more where the body swells.
+            allowed = follower.options.max_steps + 2 * self._legs
+            if follower.counters.steps >= allowed:
                 words = f"after {follower.counters.steps} steps"
                 return self._end("step_limit", words)
             try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path as FilePath
@@ -20,7 +21,7 @@ from .mesh import COARSER, mesh_level
 from .mesh_error import estimate
 from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response
-from .sensitivity import Direction
+from .sensitivity import Direction, follows_path
 from .solver import solve
 from .space import Space
 from .specimens import (
@@ -46,6 +47,10 @@ CONTINUOUS_FIELDS = tuple(
 
 FIELD_STEP, PARAMETER_STEP = 1e-5, 3e-6
 """Of a design field over its value, of an effect's parameter over its range."""
+
+FOLLOWED_STEP = 1e-4
+"""Of a parameter where derivatives follow the path, see `sensitivity.Sensitivity`: a
+slender strip's residual changes by less than it is rounded along a smaller one."""
 
 EXPLORED_STEPS = 8
 """Even load steps of `Model.explore`, besides those that the follower adds."""
@@ -169,7 +174,12 @@ class Model:
             When a name is unknown.
         """
         known = [*CONTINUOUS_FIELDS]
-        known += [f"{one.name}.{p.name}" for one in self.active for p in one.parameters]
+        known += [
+            f"{one.name}.{p.name}"
+            for one in self.active
+            for p in one.parameters
+            if p.scale != "integer"
+        ]
         wanted = known if wanted is None else wanted
         for name in wanted:
             if name not in known:
@@ -177,6 +187,7 @@ class Model:
         values: dict[str, dict[str, float]] = self.__dict__["_values"]
 
         base, level = self._base(design), mesh_level(self.level)
+        part = FOLLOWED_STEP if follows_path(self._on(base)) else PARAMETER_STEP
 
         def of_field(name: str, value: float) -> Problem:
             moved = design.with_values(**{name: value})
@@ -198,7 +209,7 @@ class Model:
                 if f"{one.name}.{parameter.name}" not in wanted:
                     continue
                 value = values[one.name][parameter.name]
-                step = PARAMETER_STEP * (parameter.upper - parameter.lower)
+                step = part * (parameter.upper - parameter.lower)
                 name = f"{one.name}.{parameter.name}"
                 at = partial(of_parameter, one.name, parameter.name)
                 found.append(_direction(name, value, step, at))
@@ -385,11 +396,18 @@ class Model:
 def _direction(
     name: str, value: float, step: float, problem_at: Callable[[float], Problem]
 ) -> Direction:
-    """A step ahead, or back at the end of what is allowed or fits."""
-    try:
-        return Direction(name, step, problem_at(value + step))
-    except InputError:
-        return Direction(name, -step, problem_at(value - step))
+    """A step ahead, or back at the end of what is allowed or fits.
+
+    Raises
+    ------
+    InputError
+        When there is no room either way.
+    """
+    for signed in (step, -step):
+        with suppress(InputError):
+            return Direction(name, signed, problem_at(value + signed))
+    room = f"a value with room for a step of {step:.2g} to one side at least"
+    raise InputError(f"derivative by {name}", value, room)
 
 
 def stack(responses: Sequence[Response]) -> Response:

@@ -249,7 +249,7 @@ def _tip_angle_gradient(mesh: StripMesh, nodes: Array, x: Array, start: float) -
 class Instruments:
     """What is measured on one problem's device, counted from its datum.
 
-    The change of the cavity's volume alone counts from rest, as a flow meter does.
+    The change of the cavity's volume alone counts from the body without stress.
 
     Parameters
     ----------

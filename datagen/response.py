@@ -84,10 +84,10 @@ class Path:
         object.__setattr__(self, "pressure", pressure)
         if self.time is not None:
             time = np.asarray(self.time, dtype=float)
-            if time.shape != pressure.shape or not (np.diff(time) > 0).all():
-                raise InputError(
-                    "time", list(time), "one strictly increasing time a load step", "s"
-                )
+            rising = np.isfinite(time).all() and (np.diff(time) > 0).all()
+            if time.shape != pressure.shape or not rising:
+                words = "one finite, strictly increasing time a load step"
+                raise InputError("time", list(time), words, "s")
             object.__setattr__(self, "time", time)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from .chart import Point
 from .corrector import Corrector
-from .equilibrium import Equilibrium, Workspace
+from .equilibrium import Equilibrium, InvertedElement, Workspace
 from .errors import EffectError
 from .observe import Instruments
 from .problem import Problem
@@ -73,6 +73,12 @@ def check_alike(problem: Problem, directions: Sequence[Direction]) -> None:
             )
 
 
+def follows_path(problem: Problem) -> bool:
+    """Whether derivatives have to be followed along the path, see `Sensitivity`."""
+    remembers = any(law.history_size for law in problem.laws)
+    return remembers or bool(problem.swellings) or bool(problem.observers)
+
+
 class Sensitivity:
     """Derivatives along one path.
 
@@ -113,6 +119,9 @@ class Sensitivity:
         # Derivatives of the displacements, (unknowns, k), here and at the last points.
         self._follow = np.zeros((self._ahead[0].unknowns, len(self.directions)))
         self._known: list[tuple[float, Array]] = []
+        # Not found at the last point; and lost, since the history there is not known.
+        self._missed = np.zeros(len(self.directions), dtype=bool)
+        self._lost = np.zeros(len(self.directions), dtype=bool)
         self.has_history = any(
             law.history_size for one in directions for law in one.problem.laws
         )
@@ -145,10 +154,16 @@ class Sensitivity:
         values = self._instruments.read(point.x, point.volume - first_volume)
 
         def lack(k: int) -> Array:
-            """What is missing at the equilibrium of problem k as far as it is known."""
+            """What is missing at the equilibrium of problem k as far as it is known.
+
+            NaN where what is known of it is no deformation.
+            """
             x = self._nodes_ahead(point, k)
             pressure = self._pressure_ahead(point, k)
-            ahead = self._ahead[k].evaluate(x, pressure, dt)
+            try:
+                ahead = self._ahead[k].evaluate(x, pressure, dt)
+            except InvertedElement:
+                return np.full_like(residual, np.nan)
             rate: Array = (residual - ahead.residual) / self.directions[k].step
             return rate
 
@@ -158,34 +173,42 @@ class Sensitivity:
         # nodes need the second pass even with an exact one: with displacements that
         # stay they shear a bent strip, and a millionth of that is not linear any more.
         steps = np.array([abs(one.step) for one in self.directions])
-        open_columns = np.arange(len(self.directions))
+        open_columns = np.flatnonzero(~self._lost)
         guess, first = self._follow.copy(), np.zeros(len(self.directions))
+        astray = np.zeros(len(self.directions), dtype=bool)
+        moved = np.zeros(0)
         for _ in range(PASSES):
-            change = solver.solve(
-                np.stack([lack(int(k)) for k in open_columns], axis=1)
-            )
+            if not len(open_columns):
+                break
+            rates = np.stack([lack(int(k)) for k in open_columns], axis=1)
+            known = np.isfinite(rates).all(axis=0)
+            if not known.all():
+                astray[open_columns[~known]] = True
+                open_columns, rates = open_columns[known], rates[:, known]
+                continue
+            change = solver.solve(rates)
             moved = np.abs(change).max(axis=0)
             if not first.any():
-                first = moved
+                first[open_columns] = moved
             self._follow[:, open_columns] += change
             size = np.maximum(
                 CLOSE * np.abs(self._follow[:, open_columns]).max(axis=0),
                 NOTHING * problem.thin / steps[open_columns],
             )
-            open_columns = open_columns[moved > size]
-            if not len(open_columns):
-                break
-        away = open_columns[moved[moved > size] > first[open_columns]]
+            moved, open_columns = moved[moved > size], open_columns[moved > size]
+        if len(moved) == len(open_columns):
+            astray[open_columns[moved > first[open_columns]]] = True
         # Where it went astray, another try had better start from the guess again.
-        self._follow[:, away] = guess[:, away]
+        self._follow[:, astray] = guess[:, astray]
         self._known[-1] = (where, self._follow.copy())
-        if len(open_columns) and not last:
+        self._missed = astray | np.isin(np.arange(len(self.directions)), open_columns)
+        if self._missed.any() and not last:
             return None
         jacobian = np.full((len(values), len(self.directions)), np.nan)
         for k, (direction, ahead) in enumerate(
             zip(self.directions, self._ahead, strict=True)
         ):
-            if k in open_columns:
+            if self._missed[k] or self._lost[k]:
                 continue
             x = self._nodes_ahead(point, k)
             volume = ahead.volume(x) - self._first_volume[k]
@@ -199,10 +222,16 @@ class Sensitivity:
             ahead.set_time(time)
 
     def keep(self, point: Point, dt: float) -> None:
-        """Let the step that led to a visited point be part of the laws' history."""
+        """Let the step that led to a visited point be part of the laws' history.
+
+        What was not found there is not known from there on.
+        """
         if not self.has_history:
             return
+        self._lost |= self._missed
         for k, ahead in enumerate(self._ahead):
+            if self._lost[k]:
+                continue
             x, pressure = self._nodes_ahead(point, k), self._pressure_ahead(point, k)
             ahead.history = ahead.evaluate(x, pressure, dt).history
 

@@ -34,7 +34,7 @@ from .expansion import Expansion
 from .features import TERMS, columns_of, features, prepare, term_owners
 from .network import FitSettings, Progress, one_thread
 from .shift import Shift, fit_shift, no_shift
-from .split import folds, held_out
+from .split import folds_of, held_out
 from .train import SCALE_FLOOR, fit_terms, path_scale
 
 Array = np.ndarray
@@ -214,8 +214,9 @@ def fit_corrected(
             f"at least {FEWEST_PAIRS}, test designs aside",
         )
     pairs = pairs.subset(rows)
-    held = folds(len(pairs), settings.folds, settings.repeats, seed)
     assert pairs.data.base_row is not None  # `pair` refuses an increment without
+    count, repeats = settings.folds, settings.repeats
+    held = folds_of(pairs.data.base_row, count, repeats, seed)
     unseen = Unseen(
         base.unseen_by(dataset, pairs.data.base_row),
         np.stack([np.flatnonzero(one) for one in held.T], axis=1),

@@ -24,6 +24,7 @@ from .features import FEATURES_VERSION
 Array = np.ndarray
 
 MODEL, WEIGHTS = "model.json", "weights.safetensors"
+FRESH = f"{WEIGHTS}.new"
 
 
 class Stored(Protocol):
@@ -93,7 +94,9 @@ def make(folder: Path) -> None:
 def write(
     model: Stored, folder: Path, content: dict[str, Any], arrays: dict[str, Array]
 ) -> None:
-    """Write both files, the weights first; an older model stays until then.
+    """Write both files; an older model stays until ``model.json`` is the new one.
+
+    Whose weights wait beside the older ones until then, see `_weights`.
 
     Raises
     ------
@@ -110,9 +113,14 @@ def write(
         "parameters": {k: dict(v) for k, v in model.parameters.items()},
         "description": model.description,
     }
-    with replacing(folder / WEIGHTS) as temporary:
+    fresh = folder / FRESH
+    with replacing(fresh) as temporary:
         temporary.write_bytes(weights)
     write_text(folder / MODEL, json.dumps(whole, indent=1) + "\n")
+    try:
+        fresh.replace(folder / WEIGHTS)
+    except OSError as error:
+        raise FileError(fresh, f"cannot be renamed: {reason(error)}") from error
 
 
 def read(
@@ -150,11 +158,7 @@ def read(
                 f"{key.replace('_', ' ')} {content.get(key)}; this program has {own}: "
                 f"{kind.again}",
             )
-    weights = bytes_of(folder / WEIGHTS)
-    if hashlib.sha256(weights).hexdigest() != content.get("weights_sha256"):
-        raise FileError(
-            folder / WEIGHTS, f"damaged, or not the weights that {MODEL} names"
-        )
+    weights = _weights(folder, str(content.get("weights_sha256")))
     try:
         model = build(content, load(weights))
         intact = model.version == content["version"]
@@ -165,6 +169,21 @@ def read(
     if not intact:
         raise FileError(path, "damaged: its content does not match its version")
     return model
+
+
+def _weights(folder: Path, sha256: str) -> bytes:
+    """The weights of a hash; a writer that was killed has left them beside others."""
+    fresh = folder / FRESH
+    if fresh.exists():
+        weights = bytes_of(fresh)
+        if hashlib.sha256(weights).hexdigest() == sha256:
+            return weights
+    weights = bytes_of(folder / WEIGHTS)
+    if hashlib.sha256(weights).hexdigest() != sha256:
+        raise FileError(
+            folder / WEIGHTS, f"damaged, or not the weights that {MODEL} names"
+        )
+    return weights
 
 
 def part(arrays: dict[str, Array], prefix: str) -> dict[str, Array]:

@@ -70,3 +70,19 @@ def folds(designs: int, folds: int, repeats: int, seed: int) -> Array:
         place = rng.permutation(np.arange(designs) % folds)
         held[r] = place[None, :] == np.arange(folds)[:, None]
     return held.reshape(repeats * folds, designs)
+
+
+def folds_of(design: Array, count: int, repeats: int, seed: int) -> Array:
+    """(repeats * count, n) bool: rows that each member must not see, as in `folds`.
+
+    A design that comes twice is held out of the same members both times.
+
+    Parameters
+    ----------
+    design : (n,) int array
+        Which design each row is of.
+    """
+    place = {int(row): i for i, row in enumerate(dict.fromkeys(design.tolist()))}
+    own = [place[int(row)] for row in design]
+    held: Array = folds(len(place), count, repeats, seed)[:, own]
+    return held

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from datagen.dataset import Dataset
+from datagen.effects import catalogue
 from datagen.errors import InputError
+from datagen.worker import PROPER_ENDS
 
 from .accuracy import accuracy
 from .calibration import Calibration, Spread, calibrate
@@ -26,6 +28,7 @@ from .features import (
     term_owners,
     turned_over,
 )
+from .increment import fem_fits
 from .limit import SETTINGS as LIMIT_SETTINGS
 from .limit import fit_limit
 from .neighbours import Neighbours, neighbours
@@ -101,7 +104,8 @@ def train(
     Raises
     ------
     InputError
-        When the dataset has too few designs, or other outputs than `TERMS`.
+        When the dataset has too few designs, other outputs than `TERMS`, or effects
+        of time or history.
     """
     rows = training_rows(dataset)
     if len(rows) < FEWEST_DESIGNS:
@@ -112,15 +116,22 @@ def train(
         )
     if dataset.outputs != tuple(TERMS):
         raise InputError("outputs", ", ".join(dataset.outputs), ", ".join(TERMS))
+    known = catalogue()
+    for name, own in dataset.effect_parameters(0).items():
+        if name in known:  # refuses those that answer to time or history
+            fem_fits((name,), "draft")(dataset.design(0), {name: own})
     data = dataset.subset(rows)
     held_out = folds(len(data), settings.folds, settings.repeats, seed)
     unseen_by = np.stack([np.flatnonzero(held) for held in held_out.T], axis=1)
     views = _views(data)
+    reached = np.where(data.status == 0, data.pressure, 0.0).max(axis=1)
+    # There is nothing to learn from past the place where a path was lost.
+    lost = np.array([status not in PROPER_ENDS for status in data.path_status])
     with one_thread():
         limit, limit_report = fit_limit(
             [view.prepared for view in views],
-            data.limit_pressure,
-            np.where(data.status == 0, data.pressure, 0.0).max(axis=1),
+            np.where(lost, reached, data.limit_pressure),
+            reached,
             held_out,
             seed + 1,
             settings.limit,

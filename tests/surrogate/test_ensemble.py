@@ -170,6 +170,22 @@ def test_saved_and_loaded(ensemble: Ensemble, tmp_path: Path) -> None:
     )
 
 
+def test_a_save_that_was_killed_leaves_one_model_whole(
+    ensemble: Ensemble, tmp_path: Path
+) -> None:
+    """The new weights wait beside the old ones until `model.json` names them."""
+    ensemble.save(tmp_path)
+    weights, fresh = (tmp_path / f"weights.safetensors{end}" for end in ("", ".new"))
+    whole = weights.read_bytes()
+    fresh.write_bytes(b"of a model that never came")
+    assert Ensemble.load(tmp_path).version == ensemble.version
+    fresh.write_bytes(whole)
+    weights.write_bytes(b"of the model before")
+    assert Ensemble.load(tmp_path).version == ensemble.version
+    ensemble.save(tmp_path)
+    assert weights.read_bytes() == whole and not fresh.exists()
+
+
 def _flip(path: Path, place: int) -> None:
     content = bytearray(path.read_bytes())
     content[place] ^= 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from datagen.device import DESIGN_SPACE, Design
-from surrogate.split import TEST_SHARE, folds, is_test
+from surrogate.split import TEST_SHARE, folds, folds_of, is_test
 
 
 def test_held_out_designs_stay_held_out() -> None:
@@ -34,3 +34,14 @@ def test_every_design_is_unseen_by_as_many_members() -> None:
     assert (held[:5] != held[5:10]).any()
     np.testing.assert_array_equal(held, folds(103, 5, 3, 2))
     assert (held != folds(103, 5, 3, 3)).any()
+
+
+def test_a_design_that_comes_twice_is_unseen_both_times() -> None:
+    once = np.array([7, 3, 9, 1, 5, 2])
+    np.testing.assert_array_equal(folds_of(once, 3, 2, 4), folds(6, 3, 2, 4))
+    twice = np.array([7, 3, 9, 3, 1, 7, 5, 2])
+    held = folds_of(twice, 3, 2, 4)
+    assert held.shape == (6, 8)
+    np.testing.assert_array_equal(held[:, 1], held[:, 3])
+    np.testing.assert_array_equal(held[:, 0], held[:, 5])
+    np.testing.assert_array_equal(held.sum(axis=0), 2)

@@ -10,12 +10,13 @@ import torch
 
 from datagen.dataset import Dataset
 from datagen.errors import InputError
+from datagen.space import Parameter, Space
 from datagen.worker import STEP_STATUS
 from surrogate import train as training
 from surrogate.ensemble import Ensemble
 from surrogate.features import columns_of, features, prepare, term_owners
 from surrogate.network import FitSettings, Rows, fit, one_thread
-from surrogate.split import is_test
+from surrogate.split import held_out, is_test
 from surrogate.train import TrainSettings, train
 from tests.surrogate.conftest import QUICK
 from tests.surrogate.synthetic import response, synthetic
@@ -26,6 +27,9 @@ TINY = TrainSettings(
     response=FitSettings(hidden=(8,), steps=60, batch=64, check_every=20),
     limit=FitSettings(hidden=(4,), steps=40, batch=32, check_every=20),
 )
+
+
+SPARE = Parameter("spare", "1", 0.0, 0.02, off=0.0, source="a test")
 
 
 @pytest.fixture(scope="module")
@@ -189,3 +193,33 @@ def test_mirror_images_of_designs_are_shown_too(small: Dataset) -> None:
         assert over.prepared.columns["spacer_modulus"][i] == spacer
         assert plain.prepared.columns["spacer_modulus"][i] == spacer
     assert len(training._views(replace(small, effects=("self_weight",)))) == 1
+
+
+def test_no_surrogate_learns_of_time_or_history(small: Dataset) -> None:
+    for effect, parameter in (
+        ("viscoelasticity", "beta_10"),
+        ("mullins", "softening"),
+        ("swelling", "strain"),
+    ):
+        name = f"{effect}.{parameter}"
+        timed = replace(
+            small,
+            effects=(effect,),
+            variables=(*small.variables, name),
+            inputs=np.column_stack([small.inputs, np.full(len(small), 0.01)]),
+            space=Space((*small.space.parameters, replace(SPARE, name=name))),
+        )
+        with pytest.raises(InputError, match="knows no time and no history"):
+            train(timed, seed=1, settings=TINY)
+
+
+def test_where_a_path_was_lost_the_range_ends(small: Dataset) -> None:
+    """Nothing is known past it, and a limit is not far."""
+    rows = np.flatnonzero(np.isnan(small.limit_pressure) & ~held_out(small))
+    lost = list(small.path_status)
+    for row in rows:
+        lost[row] = "step_too_small"
+    shortened = replace(small, path_status=tuple(lost))
+    plain, wary = (train(one, seed=1, settings=TINY) for one in (small, shortened))
+    met = plain.description["limit_fit"]["limit_points"]
+    assert wary.description["limit_fit"]["limit_points"] == met + len(rows)
