@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
@@ -15,9 +13,6 @@ from datagen.model import GENERATOR_VERSION, Model
 from datagen.response import Path
 from datagen.worker import PROPER_ENDS
 from surrogate.ensemble import REFERENCE, reference_model
-
-DOCS = FilePath(__file__).parents[1] / "docs"
-BEGUN = sorted(DOCS.glob(f"reference-{GENERATOR_VERSION}.h5"))
 
 
 @pytest.fixture(scope="module")
@@ -92,24 +87,6 @@ def test_derivatives_are_found_again(data: Dataset, level: str) -> None:
     scale = np.nanmax(np.abs(data.jacobian[row]), axis=0)
     error = np.abs(again.jacobian[0, 0] - data.jacobian[row, step])
     assert (error <= 1e-3 * scale).all()
-
-
-@pytest.mark.skipif(not BEGUN, reason="no dataset of today's generator was begun")
-def test_what_is_begun_of_the_next_dataset_can_be_gone_on_with() -> None:
-    """The first rows on today's mesh, for ``make reference EXTEND=FILE``."""
-    begun = Dataset.read(BEGUN[0])
-    assert (begun.generator_version, begun.hypercube) == (GENERATOR_VERSION, 1000)
-    sampled = DESIGN_SPACE.sample(begun.hypercube, begun.seed)
-    assert np.array_equal(begun.inputs, sampled[: len(begun)])
-    plain = [r for r in range(len(begun)) if begun.design(r).divisions_x == 1]
-    row = int(np.random.default_rng(11).choice(plain))
-    step = begun.steps(row) // 2
-    pressure = begun.pressure[row, [step]]
-    with threadpool_limits(1):
-        again = Model()([begun.design(row)], [Path(pressure)])
-    scale = np.nanmax(np.abs(begun.values[row]), axis=0)
-    error = np.abs(again.values[0, 0] - begun.values[row, step]) / scale
-    assert error.max() < 1e-6
 
 
 def test_model_was_trained_on_this_dataset(data: Dataset) -> None:
