@@ -73,8 +73,8 @@ class Journey:
             return False
         follower.head_for(target)
         while True:
-            # Each leg takes a step at least, and one more where the body swells.
-            allowed = follower.options.max_steps + 2 * self._legs
+            # Each leg before took a step at least, and one more where the body swells.
+            allowed = follower.options.max_steps + 2 * (self._legs - 1)
             if follower.counters.steps >= allowed:
                 words = f"after {follower.counters.steps} steps"
                 return self._end("step_limit", words)

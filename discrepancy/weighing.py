@@ -75,7 +75,7 @@ def weigh(
 
 def sound(readings: Readings, fits: Sequence[Fit], seed: int = 0) -> list[Fit]:
     """The fits, by nested sampling where that could change which of them is best."""
-    best = max(one.log_evidence for one in fits)
+    best = max((one.log_evidence for one in fits), default=0.0)
     return [
         fit(readings, one.hypothesis, starts=[one.t], nested=True, seed=seed)
         if one.effective < ENOUGH and one.log_evidence > best - HOPELESS

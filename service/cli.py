@@ -28,6 +28,7 @@ from .effects import effects_app
 from .models import models_app
 from .options import (
     DEFAULT_PRESSURES,
+    LEVELS,
     MANY_DESIGNS,
     AsJson,
     Case,
@@ -180,13 +181,14 @@ def predict(
 
     Of the model version in use in the workspace, where there is one.
     """
-    from datagen.mesh import mesh_level
-
     from .answer import fem_answer, load_model, surrogate_answer
     from .bench import parse_pressures, pressures_from_bench
     from .versions import chosen_version, version_answer
 
-    mesh_level(level)  # refused where the finite elements are not asked, too
+    if level not in LEVELS:  # refused where the finite elements are not asked, too
+        from datagen.mesh import mesh_level
+
+        mesh_level(level)
     design = _design(device, case, settings)
     pressure = pressures_from_bench(parse_pressures(pressures))
     version = chosen_version(model, workspace)

@@ -12,6 +12,9 @@ from datagen.errors import InputError
 
 DEFAULT_PRESSURES = ",".join(str(p) for p in range(0, 65, 5))
 
+LEVELS = ("draft", "standard", "fine")
+"""Meshes of today, which need not be looked up."""
+
 MANY_DESIGNS = 10**8
 
 
