@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -407,6 +407,13 @@ def test_help_needs_no_heavy_package() -> None:
         "solve", "generate", "train", "accuracy", "predict", "effects", "serve",
     ):  # fmt: skip
         assert command in run.stdout
+
+
+def test_the_meshes_that_need_no_look_are_all_of_todays() -> None:
+    from datagen import mesh
+    from service import options, schemas
+
+    assert options.LEVELS == tuple(mesh.LEVELS) == get_args(schemas.Level)
 
 
 def test_predict_needs_neither_torch_nor_finite_elements() -> None:
