@@ -12,6 +12,7 @@ LEVEL     ?= standard
 CASES     ?= 1,2,3,4
 MESHES    ?= 3
 SEEDS     ?= 20
+SLOPED    ?= 600
 PATHS     ?= 100
 WORKERS   ?= $(shell nproc 2>/dev/null || echo 2)
 
@@ -73,8 +74,10 @@ reference: $(INSTALLED) ## generate the reference dataset and train its model
 	    --first $(FIRST) --sensitivities $(SENSITIVE) --workers $(WORKERS) \
 	    $(if $(EXTEND),--extend $(EXTEND)) --out $(REFERENCE)/dataset.h5 --resume
 	$(BIN)/pba train $(REFERENCE)/dataset.h5 --out $(REFERENCE)/model
+	$(BIN)/python -m surrogate.slopes $(REFERENCE)/dataset.h5 $(REFERENCE)/slopes.h5 \
+	    $(SLOPED) $(WORKERS)
 	mkdir -p surrogate/reference
-	cp $(REFERENCE)/dataset.h5 $(REFERENCE)/model/* surrogate/reference/
+	cp $(REFERENCE)/*.h5 $(REFERENCE)/model/* surrogate/reference/
 
 corrected: $(INSTALLED) ## learn surrogates with effects in them, write down how near they come (an hour)
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.corrected $(or $(MINUTES),10) $(ONLY)

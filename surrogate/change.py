@@ -7,15 +7,13 @@ two, less what the equivalent device explains already:
 
 The base's own error stays out of it: it is in both of the base's answers.  How far that
 holds is judged by members of base and change that had not seen the design: those that
-had are nearer to it than they are to devices in use.  Derivatives
-by the parameters bring more rows of each path at no cost: half way to off along the
-parabola through the known ends and the slope there, and a little to each side along
-each parameter where there are several.
+had are nearer to it than they are to devices in use.  Slopes at off (`slopes`) are
+rows, too: a difference over a small step, and that step divided out of both sides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -23,6 +21,7 @@ import numpy as np
 
 from datagen.dataset import Dataset
 from datagen.errors import InputError
+from datagen.space import Space
 
 from .accuracy import accuracy
 from .calibration import Calibration, calibrate, calibrate_beside
@@ -31,9 +30,11 @@ from .effect_terms import changed, effect_owners
 from .ensemble import Ensemble
 from .equivalent import Equivalent, same_device
 from .expansion import Expansion
-from .features import TERMS, columns_of, features, prepare, term_owners
+from .features import TERMS, features, prepare, term_owners
 from .network import FitSettings, Progress, one_thread
+from .pairs import Pairs, inputs_of, pair, tuned_names, views_of
 from .shift import Shift, fit_shift, no_shift
+from .slopes import Tangent, tangent_of
 from .split import folds_of, held_out
 from .train import SCALE_FLOOR, fit_terms, path_scale
 
@@ -42,8 +43,8 @@ Array = np.ndarray
 FEWEST_PAIRS = 8
 """Training pairs that folds and calibration need at the very least."""
 
-ASIDE = 0.1
-"""Step along one parameter, of its range, over which a slope is trusted alone."""
+SLOPE_STEP = 0.02
+"""Step from off in the coordinate of a parameter, over which slopes are rows."""
 
 SHARES = tuple(np.linspace(0, 1, 11).tolist())
 """Of the networks' answers, from which `shrunk` chooses."""
@@ -51,11 +52,11 @@ SHARES = tuple(np.linspace(0, 1, 11).tolist())
 DEVIATIONS = 2.0
 """Standard errors by which the networks must be better than nothing."""
 
-CHANGE_RIDGE = 0.3
+CHANGE_RIDGE = 0.03
 """Of the constant weights: pairs are few."""
 
 CHANGE_SETTINGS = FitSettings(
-    hidden=(24,), steps=1500, batch=256, rate=2e-3, decay=10.0, check_every=50
+    hidden=(64, 64), steps=4000, batch=256, rate=1e-2, decay=0.5, check_every=100
 )
 
 
@@ -69,102 +70,17 @@ class ChangeSettings:
         As in `TrainSettings`.
     fit : FitSettings
     huber : float
-        Error, over the typical size of the change, from which on it counts linearly.
+        Error, over the typical size of the change, from which on it counts linearly:
+        small, as slopes are large near limit points.
     """
 
     folds: int = 5
     repeats: int = 4
     fit: FitSettings = CHANGE_SETTINGS
-    huber: float = 0.3
+    huber: float = 0.03
 
 
 SETTINGS = ChangeSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class Pairs:
-    """Paths with effects beside those of their bases, n designs, s load steps.
-
-    Parameters
-    ----------
-    data : Dataset
-        With the effects.
-    before : (n, s, m) array, SI
-        The base's path at the same pressures; 0 where `shared` is not.
-    shared : (n, s) bool array
-        Steps that both paths reached.
-    base_limit : (n,) array, Pa
-        Limit pressure of the base's path; NaN where it was not met.
-    """
-
-    data: Dataset
-    before: Array
-    shared: Array
-    base_limit: Array
-
-    def __len__(self) -> int:
-        return len(self.data)
-
-    def subset(self, rows: Array) -> Pairs:
-        """Those designs alone."""
-        return Pairs(
-            self.data.subset(rows),
-            self.before[rows],
-            self.shared[rows],
-            self.base_limit[rows],
-        )
-
-    @property
-    def pressure(self) -> Array:
-        """(n, s) Pa; 0 where a step is not shared."""
-        own: Array = np.where(self.shared, self.data.pressure, 0.0)
-        return own
-
-    @property
-    def difference(self) -> Array:
-        """(n, s, m) SI; 0 where a step is not shared."""
-        found: Array = np.where(
-            self.shared[..., None], self.data.values - self.before, 0.0
-        )
-        return found
-
-    @property
-    def log_shift(self) -> Array:
-        """(n,) logarithm of limit pressure over the base's; NaN where one is not."""
-        found: Array = np.log(self.data.limit_pressure / self.base_limit)
-        return found
-
-
-def pair(base: Dataset, increment: Dataset) -> Pairs:
-    """Put each path of an increment beside its base's.
-
-    Raises
-    ------
-    InputError
-        When the increment is paired with another dataset, or a design is not the one
-        of its base.
-    """
-    if increment.base_row is None or increment.base != base.digest():
-        raise InputError("increment", increment.base[:12], "one made from this dataset")
-    if increment.outputs != base.outputs:
-        raise InputError(
-            "outputs", ", ".join(increment.outputs), ", ".join(base.outputs)
-        )
-    rows = increment.base_row
-    width = len(base.variables)
-    if not np.array_equal(increment.inputs[:, :width], base.inputs[rows]):
-        raise InputError("increment", "designs", "those of the base's rows")
-    before = np.zeros_like(increment.values)
-    shared = np.zeros(increment.status.shape, dtype=bool)
-    for i, row in enumerate(rows):
-        steps = base.steps(int(row))
-        if not np.array_equal(
-            increment.pressure[i, :steps], base.pressure[row, :steps]
-        ):
-            raise InputError("increment", f"row {i}", "the load steps of its base")
-        before[i, :steps] = base.values[row, :steps]
-        shared[i, :steps] = increment.status[i, :steps] == 0
-    return Pairs(increment, before, shared, base.limit_pressure[rows])
 
 
 def fit_corrected(
@@ -176,6 +92,7 @@ def fit_corrected(
     equivalent: Equivalent | None = None,
     samples: Array | None = None,
     progress: Progress | None = None,
+    slopes: Dataset | None = None,
 ) -> Corrected:
     """The base with what the increment teaches; designs held out stay unseen.
 
@@ -195,11 +112,13 @@ def fit_corrected(
         Equally likely parameters; the middle of their ranges by default.
     progress : callable, optional
         As in `train`.
+    slopes : Dataset, optional
+        Of `slopes.solve_slopes`: what the effects change to first order.
 
     Raises
     ------
     InputError
-        When base, dataset and increment do not fit, or there are too few pairs.
+        When base, dataset, increment and slopes do not fit, or there are too few pairs.
     """
     if base.effects:
         raise InputError("base", ", ".join(base.effects), "a model without effects")
@@ -216,20 +135,27 @@ def fit_corrected(
     pairs = pairs.subset(rows)
     assert pairs.data.base_row is not None  # `pair` refuses an increment without
     count, repeats = settings.folds, settings.repeats
-    held = folds_of(pairs.data.base_row, count, repeats, seed)
+    tangent = None if slopes is None else tangent_of(slopes, dataset, increment.space)
+    designs = pairs.data.base_row
+    if tangent is not None:
+        designs = np.concatenate([designs, tangent.base_row])
+    every = folds_of(designs, count, repeats, seed)
+    held = every[:, : len(pairs)]
     unseen = Unseen(
         base.unseen_by(dataset, pairs.data.base_row),
         np.stack([np.flatnonzero(one) for one in held.T], axis=1),
     )
     space = increment.space
-    columns, values = _inputs(pairs.data)
+    columns, values = inputs_of(pairs.data)
     if equivalent is None:
         equivalent = same_device(values.shape[1])
     shift = _fit_shift(base, pairs, equivalent, held, unseen.base)
     how = (equivalent, shift)
     asked = ask(base, space, how, columns, values, unseen.base)
     with one_thread():
-        change, report = _fit_change(base, pairs, how, held, seed, settings, progress)
+        change, report = _fit_change(
+            base, pairs, tangent, how, every, seed, settings, progress
+        )
     change, shares = shrunk(base, pairs, asked, change, unseen)
     calibration = _calibrate(base, pairs, asked, change, unseen)
     tuned = [p for p in space if "." in p.name]
@@ -250,6 +176,8 @@ def fit_corrected(
             "increment": increment.digest(),
             "generator_version": increment.generator_version,
             "level": increment.level,
+            "slopes": "" if slopes is None else slopes.digest(),
+            "slope_paths": 0 if tangent is None else len(tangent.base_row),
             "increment_seed": increment.seed,
             "paths": len(increment),
             "n_train": len(pairs),
@@ -266,11 +194,6 @@ def fit_corrected(
     return with_accuracy(model, dataset, increment)
 
 
-def tuned_names(space: Any) -> tuple[str, ...]:
-    """Names of the parameters of effects in a space."""
-    return tuple(p.name for p in space if "." in p.name)
-
-
 def nested(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:
     """``{effect: {parameter: value}}``."""
     out: dict[str, dict[str, float]] = {}
@@ -280,13 +203,6 @@ def nested(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:
     return out
 
 
-def _inputs(data: Dataset) -> tuple[dict[str, Array], Array]:
-    """Columns of the design's variables, and (n, j) values of the parameters."""
-    width = len(data.variables) - len(tuned_names(data.space))
-    columns = columns_of(data.variables[:width], data.inputs[:, :width])
-    return columns, data.inputs[:, width:]
-
-
 def _fit_shift(
     base: Ensemble, pairs: Pairs, equivalent: Equivalent, held: Array, members: Array
 ) -> Shift:
@@ -294,7 +210,7 @@ def _fit_shift(
 
     As `members` of the base (r, n) say it that had not seen the designs.
     """
-    columns, values = _inputs(pairs.data)
+    columns, values = inputs_of(pairs.data)
     plain = prepare(columns, base.space)
     none = no_shift(plain.inputs, values.shape[1], len(held))
     how = (equivalent, none)
@@ -303,40 +219,75 @@ def _fit_shift(
     return fit_shift(asked.plain.inputs, asked.t, pairs.log_shift - known, held)
 
 
-def views_of(pairs: Pairs) -> list[tuple[Array, Array]]:
-    """Parameters (n, j) and differences (n, s, m) there: of the paths, and near them.
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Rows for the networks, N of d designs, those of a design one after another.
 
-    The first is what was solved.  With d its difference and d' its slope towards the
-    parameters from off, the parabola through 0, d and d' gives 3/4 d - 1/4 d' half way.
+    Parameters
+    ----------
+    point : (N, f) array
+    terms : (N, k) array
+    target : (N, m) array
+        Both over the scale of the output on its path.
+    count : (d,) int array
+        Rows of each design.
     """
-    data, difference = pairs.data, pairs.difference
-    _, values = _inputs(data)
-    found = [(values, difference)]
-    slopes = data.jacobian
-    names = tuned_names(data.space)
-    if slopes is None or data.parameters != names:
-        return found
-    # At a limit point there are no slopes, and no views but what was solved.
-    slopes = np.where(np.isfinite(slopes), slopes, np.nan)
-    tuned = [data.space[name] for name in names]
-    off = np.array([0.0 if p.off is None else p.off for p in tuned])
-    along = np.einsum("nsmj,nj->nsm", slopes, values - off)
-    found.append(((values + off) / 2, 0.75 * difference - 0.25 * along))
-    if len(names) == 1:
-        return found
-    for j, p in enumerate(tuned):
-        step = np.where(values[:, j] > (p.lower + p.upper) / 2, -ASIDE, ASIDE) * (
-            p.upper - p.lower
+
+    point: Array
+    terms: Array
+    target: Array
+    count: Array
+
+
+def _block(
+    base: Ensemble,
+    space: Space,
+    how: tuple[Equivalent, Shift],
+    columns: Mapping[str, Array],
+    path: tuple[Array, Array, Array],
+    views: Sequence[tuple[Array, Array]],
+    over: float = 1.0,
+) -> _Block:
+    """Rows of some designs: what the equivalent device leaves of differences.
+
+    Parameters
+    ----------
+    path : (n, s), (n, s, m) and (n, s) arrays
+        Pressures, largest magnitudes with effects or without, and which steps count.
+    views : sequence of pairs of (n, j) and (n, s, m) arrays
+        Parameters, and differences there.
+    over : float
+        Both sides are divided by it: differences over a small step are slopes.
+    """
+    pressure, largest, good = path
+    points, terms, targets, known = [], [], [], []
+    for values, difference in views:
+        asked = ask(base, space, how, columns, values)
+        own = features(
+            asked.prepared, asked.base_pressure(pressure), asked.base_limit.pressure
         )
-        moved = values.copy()
-        moved[:, j] += step
-        found.append((moved, difference + slopes[..., j] * step[:, None, None]))
-    return found
+        points.append(own.point)
+        terms.append(changed(own, asked.prepared, asked.t).terms / over)
+        targets.append((difference - _explained(base, asked, pressure)) / over)
+        known.append(good & np.isfinite(difference).all(axis=2))
+    own_terms = features(asked.drawn, pressure, asked.drawn_limit.pressure).terms
+    scale = path_scale(largest, own_terms, term_owners(effects=False))
+    owner = effect_owners(asked.t.shape[1])
+    chosen = np.stack(known, axis=1)  # (n, views, s)
+    scales = np.broadcast_to(scale[:, None, None], (*chosen.shape, scale.shape[1]))
+    scales = scales[chosen]
+    return _Block(
+        np.stack(points, axis=1)[chosen],
+        np.stack(terms, axis=1)[chosen] / scales[:, owner],
+        np.stack(targets, axis=1)[chosen] / scales,
+        chosen.sum(axis=(1, 2)),
+    )
 
 
 def _fit_change(
     base: Ensemble,
     pairs: Pairs,
+    tangent: Tangent | None,
     how: tuple[Equivalent, Shift],
     held: Array,
     seed: int,
@@ -344,34 +295,30 @@ def _fit_change(
     progress: Progress | None,
 ) -> tuple[Expansion, dict[str, Any]]:
     """Train the networks on what the shift leaves of the differences."""
-    columns, _ = _inputs(pairs.data)
-    pressure = pairs.pressure
-    points, terms, targets, known = [], [], [], []
-    for values, difference in views_of(pairs):
-        asked = ask(base, pairs.data.space, how, columns, values)
-        own = features(
-            asked.prepared, asked.base_pressure(pressure), asked.base_limit.pressure
+    space = pairs.data.space
+    columns, values = inputs_of(pairs.data)
+    path = (pairs.pressure, pairs.largest, pairs.shared)
+    blocks = [_block(base, space, how, columns, path, views_of(pairs))]
+    if tangent is not None:
+        views = tangent.views(SLOPE_STEP)
+        path = (tangent.pressure, tangent.largest, tangent.good)
+        blocks.append(
+            _block(base, space, how, tangent.columns, path, views, SLOPE_STEP)
         )
-        points.append(own.point)
-        terms.append(changed(own, asked.prepared, asked.t).terms)
-        targets.append(difference - _explained(base, asked, pressure))
-        known.append(pairs.shared & np.isfinite(difference).all(axis=2))
-    own_terms = features(asked.drawn, pressure, asked.drawn_limit.pressure).terms
-    scale = path_scale(pairs.before, own_terms, term_owners(effects=False))
-    owner = effect_owners(asked.t.shape[1])
-    chosen = np.stack(known, axis=1)  # (n, views, s)
-    scales = np.broadcast_to(scale[:, None, None], (*chosen.shape, scale.shape[1]))
-    scales = scales[chosen]
-    target = np.stack(targets, axis=1)[chosen] / scales
-    count = chosen.sum(axis=(1, 2))
+    point, terms, target, count = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("point", "terms", "target", "count")
+    )
+    owner = effect_owners(values.shape[1])
     weight = 1 / np.repeat(count, count)
-    # In units of the typical change of each output: small ones count as large ones do.
-    typical = np.sqrt(np.average(target**2, axis=0, weights=weight))
-    typical = np.maximum(typical, 1e-9)
-    rows = np.stack(terms, axis=1)[chosen] / (scales * typical)[:, owner]
+    # In units of the typical change of the output that changes most: all outputs are
+    # shares of their path's largest magnitude, and as such what is missed of one that
+    # hardly changes matters as little.
+    typical = np.sqrt(np.average(target**2, axis=0, weights=weight)).max()
+    typical = max(float(typical), 1e-9)
     return fit_terms(
-        np.stack(points, axis=1)[chosen],
-        rows,
+        point,
+        terms / typical,
         target / typical,
         count,
         (owner, np.zeros(len(owner), dtype=bool)),
@@ -483,7 +430,7 @@ def change_errors(model: Corrected, pairs: Pairs) -> dict[str, dict[str, float]]
         By output: median and 95th percentile, every design with the same weight, and
         ``size_pct``, the median size of the change itself.
     """
-    columns, values = _inputs(pairs.data)
+    columns, values = inputs_of(pairs.data)
     how = (model.equivalent, model.shift)
     asked = ask(model.base, model.space, how, columns, values)
     answer = evaluate(model.base, model.change, asked, pairs.pressure)

@@ -28,7 +28,7 @@ from .shift import Shift
 
 Array = np.ndarray
 
-KIND = Kind("pba-corrected", 1, "learn the effects again")
+KIND = Kind("pba-corrected", 2, "learn the effects again")
 
 BASE = "base"
 """Folder of the base model, inside that of the corrected one."""

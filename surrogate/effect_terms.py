@@ -1,6 +1,6 @@
 """What the networks of a change weigh: terms that vanish where the effects are off.
 
-The terms of `features` (with those that need no pressure), and two closed forms of a
+The terms of `features` (with those that need no pressure), and closed forms of a
 cantilever beam for tip and angle, each times the coordinate of each parameter.
 """
 
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .features import Features, Prepared, term_owners
+from .baseline import Section, section
+from .features import Columns, Features, Prepared, term_owners
 
 Array = np.ndarray
 
@@ -16,15 +17,21 @@ TIP, ANGLE = 0, 1
 """Places of the outputs in `features.TERMS`."""
 
 STRAIN = 0.01
-"""Strain of the upper layer against the others that the first form stands for."""
+"""Strain of the upper layer against the others that bends the strip."""
 
 WEIGHT = 1e4
-"""N/m3.  Body force that the second form stands for: about that of silicone."""
+"""N/m3.  Body force that bends it: about that of silicone."""
+
+CURVATURE = 10.0
+"""1/m.  Curvature of an unloaded strip before anything bends it."""
+
+BEAM_OWNERS = (TIP,) * 5 + (ANGLE,) * 4
+"""The output that each term of `beam_terms` belongs to."""
 
 
 def effect_owners(parameters: int) -> Array:
     """(k,) int array: the output that each term of `changed` belongs to."""
-    own = np.concatenate([term_owners(effects=True), [TIP, TIP, ANGLE, ANGLE]])
+    own = np.concatenate([term_owners(effects=True), BEAM_OWNERS])
     return np.tile(own, parameters)
 
 
@@ -45,37 +52,63 @@ def changed(own: Features, prepared: Prepared, t: Array) -> Features:
         Terms in the order of `effect_owners`.
     """
     n, s, _ = own.terms.shape
-    beam = np.broadcast_to(beam_terms(prepared)[:, None], (n, s, 4))
+    beam = beam_terms(prepared)
+    beam = np.broadcast_to(beam[:, None], (n, s, beam.shape[1]))
     terms = np.concatenate([own.terms, beam], axis=2)
     each = [terms * t[:, j, None, None] for j in range(t.shape[1])]
     return Features(own.point, np.concatenate(each, axis=2))
 
 
 def beam_terms(prepared: Prepared) -> Array:
-    """(n, 4) tip by strain and by weight, m, then the angle by both, rad.
+    """(n, 9) closed forms in the order of `BEAM_OWNERS`: tip, m, then angle, rad.
 
-    The strip as a composite cantilever of length L and bending stiffness B.  Strain of
-    the upper layer bends it by kappa = E_u A_u e (z_u - z_0)/B: angle kappa L, tip
-    kappa L^2/2.  A body force g of the whole section A: angle g A L^3/(6 B), tip
-    g A L^4/(8 B).
+    The strip as a composite cantilever of length L, in pieces of two sections: through
+    a balloon, and solid where there is none.  Strain of the upper layer bends a piece
+    by kappa = E_u A_u e (z_u - z_0)/B: angle kappa l, tip kappa l times the way from
+    its middle to the tip; one term for the balloons and one for the rest.  A body force
+    g of the whole section A: angle g A L^3/(6 B), tip g A L^4/(8 B).  An unloaded strip
+    that is curved by k or tilted: angle k L, tip k L^2/2 and L.
     """
     c, beam = prepared.columns, prepared.beam
-    span = c["balloon_length"] + (c["divisions_x"] - 1) * c["wall"]
-    length = c["balloon_start"] + span + c["tip_margin"]
+    walls = (c["divisions_x"] - 1) * c["wall"]
+    span = c["balloon_length"] + walls
+    start, margin = c["balloon_start"], c["tip_margin"]
+    length = start + span + margin
     across = c["balloon_width"] + (c["divisions_y"] - 1) * c["wall"]
     width = across + 2 * c["rim"]
     height = c["lower_thickness"] + c["cavity_height"] + c["upper_thickness"]
-    above = height - c["upper_thickness"] / 2 - beam.neutral
-    force = c["upper_modulus"] * c["upper_thickness"] * width
-    curvature = STRAIN * force * above / beam.stiffness
+    force = STRAIN * c["upper_modulus"] * c["upper_thickness"] * width
+
+    def curvature(piece: Section) -> Array:
+        above = height - c["upper_thickness"] / 2 - piece.neutral
+        found: Array = force * above / piece.stiffness
+        return found
+
+    hollow, solid = (
+        curvature(beam),
+        curvature(section(_solid(c, width))),
+    )
+    arm = margin + span / 2
+    rest = start * (length - start / 2) + margin**2 / 2 + walls * arm
     load = WEIGHT * width * height / beam.stiffness
     terms: Array = np.stack(
         [
-            curvature * length**2 / 2,
+            hollow * c["balloon_length"] * arm,
+            solid * rest,
             load * length**4 / 8,
-            curvature * length,
+            CURVATURE * length**2 / 2,
+            length,
+            hollow * c["balloon_length"],
+            solid * (start + walls + margin),
             load * length**3 / 6,
+            CURVATURE * length,
         ],
         axis=1,
     )
     return terms
+
+
+def _solid(columns: Columns, width: Array) -> Columns:
+    """Columns of a cross-section of some width that is rim alone."""
+    nothing, one = np.zeros_like(width), np.ones_like(width)
+    return {**columns, "balloon_width": nothing, "divisions_y": one, "rim": width / 2}

@@ -32,11 +32,12 @@ from datagen.pool import Pool, solve_tasks
 from datagen.space import Space
 from datagen.worker import Solve
 
-from .change import SETTINGS, ChangeSettings, fit_corrected, nested, tuned_names
+from .change import SETTINGS, ChangeSettings, fit_corrected, nested
 from .corrected import Corrected
 from .ensemble import Ensemble
 from .equivalent import Equivalent, fit_equivalent
 from .increment import (
+    TEST_PATHS,
     Fits,
     PairTask,
     fem_fits,
@@ -47,11 +48,23 @@ from .increment import (
     solve_increment,
     solve_pair,
 )
+from .pairs import tuned_names
+from .slopes import (
+    differentiable,
+    shipped,
+    slope_rows,
+    slopes_space,
+    solve_at_off,
+    solve_slopes,
+)
 
 Array = np.ndarray
 
-PLAN, INCREMENT, DRAFT, FORMER = "plan.json", "increment.h5", "model", "former"
-"""In the working folder; the second goes along into the finished one."""
+PLAN, DRAFT, FORMER = "plan.json", "model", "former"
+"""In the working folder."""
+
+INCREMENT, SLOPES = "increment.h5", "slopes.h5"
+"""In the working folder, and what goes along into the finished one."""
 
 HANDED_ON = "handed_on"
 """Of a description: what the model was learned for, where it came to serve another."""
@@ -65,6 +78,13 @@ MOST_PATHS = 400
 SOLVING_SHARE = 0.7
 """Of a time budget; the rest is for timing a path, for those that take longer than the
 median, and for training."""
+
+TESTED_TIME, SLOPE_TIME = 2.3, 0.45
+"""Of the time of a pair on the coarser mesh: a test path on the base's mesh, and a path
+at off with its derivatives."""
+
+SLOPES_PER_PATH = 2
+"""Paths at off for each of an increment, where no slopes are shipped."""
 
 Report = Callable[[str, int, int, float | None], None]
 """report(stage, done, total, seconds left or None)."""
@@ -88,6 +108,11 @@ class Means:
         Whether effects can act on a design; None asks the finite elements.
     equivalent : Equivalent or None
         None reads it from problems with the effects in them.
+    slopes : Space or None
+        Parameters with derivatives at off; None asks the finite elements where these
+        solve the paths, too.
+    solve_slopes : callable
+        As `solve`, from a `SlopeTask`.
     """
 
     solve: Solve = solve_pair
@@ -96,6 +121,8 @@ class Means:
     space: Space | None = None
     fits: Fits | None = None
     equivalent: Equivalent | None = None
+    slopes: Space | None = None
+    solve_slopes: Solve = solve_slopes
 
 
 BY_FEM = Means()
@@ -191,6 +218,7 @@ def learn(
         begun = _begin(work, wanted, resume, restart)
         level = means.level or mesh_of(dataset)
         fits = means.fits or fem_fits(active, level, effects_dir)
+        sloped, slopes = _slopes_of(dataset, active, means, effects_dir)
         if "count" not in begun:
             count = paths
             if count is None:
@@ -200,7 +228,8 @@ def learn(
                 pool = pool_of(workers, scheduler, executor)
                 seconds = _one_path(tasks, pool, max(workers, 1), means.solve)
                 try:
-                    count = _affordable(minutes, seconds, max(workers, 1))
+                    solved_too = sloped is not None and slopes is None
+                    count = _affordable(minutes, seconds, max(workers, 1), solved_too)
                 except InputError:  # nothing was begun: other minutes may be tried
                     shutil.rmtree(work, ignore_errors=True)
                     raise
@@ -208,23 +237,42 @@ def learn(
             write_text(work / PLAN, json.dumps(begun, indent=1) + "\n")
         planned = plan(dataset, space, int(begun["count"]), seed, near, fits)
 
-        def solved(state: Progress) -> None:
-            if report:
-                report("increment", state.done, state.total, state.seconds_left)
+        def told(stage: str) -> Callable[[Progress], None]:
+            def solved(state: Progress) -> None:
+                if report:
+                    report(stage, state.done, state.total, state.seconds_left)
 
+            return solved
+
+        how: dict[str, Any] = {
+            "effects_dir": effects_dir,
+            "workers": workers,
+            "scheduler": scheduler,
+            "resume": True,
+            "executor": executor,
+            "version": means.version,
+        }
+        if sloped is not None and slopes is None:
+            wanted_rows = slope_rows(
+                dataset, SLOPES_PER_PATH * len(planned), planned.base_row
+            )
+            slopes = solve_at_off(
+                dataset,
+                sloped,
+                wanted_rows,
+                work / SLOPES,
+                progress=told("slopes"),
+                solve=means.solve_slopes,
+                **how,
+            )
         increment = solve_increment(
             planned,
             dataset,
             work / INCREMENT,
             level=level,
-            effects_dir=effects_dir,
-            workers=workers,
-            scheduler=scheduler,
-            resume=True,
-            progress=solved,
-            executor=executor,
+            progress=told("increment"),
             solve=means.solve,
-            version=means.version,
+            **how,
         )
 
         def trained(stage: str, step: int, steps: int, loss: float) -> None:
@@ -233,11 +281,36 @@ def learn(
 
         equivalent = means.equivalent or fit_equivalent(space, seed, effects_dir)
         model = fit_corrected(
-            base, dataset, increment, seed, settings, equivalent, samples, trained
+            base,
+            dataset,
+            increment,
+            seed,
+            settings,
+            equivalent,
+            samples,
+            trained,
+            slopes,
         )
         more = {"unfit_designs": planned.unfit, "request": wanted, "restart": restart}
         model = replace(model, description=model.description | more)
-        return _publish(model, folder, work, work / INCREMENT)
+        return _publish(model, folder, work, work)
+
+
+def _slopes_of(
+    dataset: Dataset,
+    effects: tuple[str, ...],
+    means: Means,
+    effects_dir: Path | None,
+) -> tuple[Space | None, Dataset | None]:
+    """What has slopes at off, if anything, and the shipped ones, if they are those."""
+    if means.slopes is not None:
+        return means.slopes, None
+    if means is not BY_FEM:
+        return None, None
+    having = differentiable(effects, dataset, effects_dir)
+    if not having:
+        return None, None
+    return slopes_space(having, effects_dir), shipped(dataset, having)
 
 
 def hand_on(
@@ -288,7 +361,7 @@ def _hand_on(
         description=described | {HANDED_ON: origin},
     )
     _make(work)
-    return _publish(made, folder, work, source / INCREMENT)
+    return _publish(made, folder, work, source)
 
 
 @contextmanager
@@ -450,7 +523,7 @@ def _one_path(
         x, y = (task.variables.index(f"divisions_{axis}") for axis in "xy")
         return task.inputs[x] * task.inputs[y]
 
-    ordered = sorted(tasks, key=balloons)
+    ordered = sorted([t for t in tasks if t.coarser] or tasks, key=balloons)
     middle = ordered[len(ordered) // 2 :] + ordered[: len(ordered) // 2]
     chosen = [middle[i % len(middle)] for i in range(workers)]
     # Their first load steps alone, before the clock: workers have to start.
@@ -464,8 +537,22 @@ def _one_path(
         pool.close(now=True)
 
 
-def _affordable(minutes: float, seconds: float, workers: int) -> int:
-    """Number of paths that a time budget allows."""
+def _affordable(
+    minutes: float, seconds: float, workers: int, slopes: bool = False
+) -> int:
+    """Number of paths that a time budget allows.
+
+    Parameters
+    ----------
+    minutes : float
+    seconds : float
+        Of a pair on the coarser mesh.
+    workers : int
+    slopes : bool
+        Whether slopes are solved, too.
+    """
+    seconds *= 1 - TEST_PATHS + TEST_PATHS * TESTED_TIME
+    seconds *= 1 + SLOPES_PER_PATH * SLOPE_TIME * slopes
     fits = int(SOLVING_SHARE * 60 * minutes * workers / max(seconds, 1e-3))
     if fits < FEWEST_PATHS:
         needed = FEWEST_PATHS * seconds / (SOLVING_SHARE * 60 * workers)
@@ -479,14 +566,19 @@ def _affordable(minutes: float, seconds: float, workers: int) -> int:
     return min(fits, MOST_PATHS)
 
 
-def _publish(model: Corrected, folder: Path, work: Path, increment: Path) -> Corrected:
-    """Give the finished model its name; one that has it makes way."""
+def _publish(model: Corrected, folder: Path, work: Path, source: Path) -> Corrected:
+    """Give the finished model its name, with what it was learned from in `source`.
+
+    One that has the name makes way.
+    """
     draft = work / DRAFT
     shutil.rmtree(draft, ignore_errors=True)  # of a run that was killed here
     model.save(draft)
     try:
-        shutil.copyfile(increment, draft / INCREMENT)
-        sync(draft / INCREMENT)
+        for name in (INCREMENT, SLOPES):
+            if name == INCREMENT or (source / name).exists():
+                shutil.copyfile(source / name, draft / name)
+                sync(draft / name)
         sync(draft)
         if folder.exists():
             shutil.rmtree(work / FORMER, ignore_errors=True)

@@ -54,6 +54,20 @@ def coordinates(values: Array, parameters: tuple[Parameter, ...]) -> Array:
     return out
 
 
+def far_end(parameter: Parameter, share: float = 1.0) -> float:
+    """Value at a share of the way from off to the far end of the stated range, SI.
+
+    Where `coordinates` is that share in size.
+    """
+    off = 0.0 if parameter.off is None else parameter.off
+    ends = (parameter.lower, parameter.upper)
+    if parameter.scale == "log" and off > 0:
+        far = max(ends, key=lambda end: abs(np.log(end / off)))
+        return float(off * (far / off) ** share)
+    far = max(ends, key=lambda end: abs(end - off))
+    return float(off + share * (far - off))
+
+
 @dataclass(frozen=True, eq=False)
 class Shift:
     """Logarithm of the limit pressure with effects over that without.

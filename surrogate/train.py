@@ -331,18 +331,12 @@ def fit_terms(
     # A term that is nothing everywhere stays nothing.
     unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     terms = terms * unit
-    start = np.concatenate(
-        [
-            _constant_weights(
-                terms[:, owner == o],
-                target[:, o],
-                weight,
-                positive[owner == o].any(),
-                ridge,
-            )
-            for o in range(target.shape[1])
-        ]
-    )
+    start = np.empty(len(owner))
+    for o in range(target.shape[1]):
+        own = owner == o  # anywhere: closed forms of effects come after all others
+        start[own] = _constant_weights(
+            terms[:, own], target[:, o], weight, positive[own].any(), ridge
+        )
 
     def single(array: Array) -> torch.Tensor:
         return torch.tensor(array, dtype=torch.float32)

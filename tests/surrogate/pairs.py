@@ -21,6 +21,7 @@ from surrogate.equivalent import READ, Equivalent, same_device
 from surrogate.increment import PairTask, plan, solve_increment
 from surrogate.learn import Means
 from surrogate.network import FitSettings
+from surrogate.slopes import slope_rows, solve_at_off
 from tests.datagen.fake_solver import Here
 from tests.surrogate.synthetic import arc, response
 
@@ -102,6 +103,20 @@ def equivalent(which: str) -> Equivalent:
     return Equivalent(weights, logarithmic)
 
 
+def slopes(base: Dataset, out: Path, which: str, count: int) -> Dataset:
+    """Solve synthetic paths at off, with their derivatives."""
+    return solve_at_off(
+        base,
+        SPACES[which],
+        slope_rows(base, count),
+        out,
+        level="synthetic",
+        executor=Here(),
+        solve=solve_synthetic,
+        version=VERSION,
+    )
+
+
 def increment(base: Dataset, out: Path, which: str, paths: int, seed: int) -> Dataset:
     """Solve an increment of synthetic paths."""
     planned = plan(base, SPACES[which], paths, seed)
@@ -120,8 +135,8 @@ def anything_fits(design: object, values: object) -> bool:
     return True
 
 
-def means(which: str) -> Means:
-    """How `learn` solves these pairs."""
+def means(which: str, *, slopes: bool = False) -> Means:
+    """How `learn` solves these pairs, and at off, too, where slopes are wanted."""
     return Means(
         solve=solve_synthetic,
         version=VERSION,
@@ -129,4 +144,6 @@ def means(which: str) -> Means:
         space=SPACES[which],
         fits=anything_fits,
         equivalent=equivalent(which),
+        slopes=SPACES[which] if slopes else None,
+        solve_slopes=solve_synthetic,
     )

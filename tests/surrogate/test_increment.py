@@ -15,7 +15,6 @@ from datagen.errors import EffectError, InputError
 from datagen.model import GENERATOR_VERSION, Model
 from datagen.space import Parameter
 from datagen.worker import STEP_STATUS, Task, solve_row
-from surrogate.change import pair
 from surrogate.ensemble import REFERENCE
 from surrogate.increment import (
     TEST_PATHS,
@@ -27,6 +26,7 @@ from surrogate.increment import (
     solve_pair,
     stated_range,
 )
+from surrogate.pairs import pair
 from surrogate.split import held_out
 from tests.surrogate.pairs import SPACES, increment
 

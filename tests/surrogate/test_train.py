@@ -16,8 +16,8 @@ from surrogate import train as training
 from surrogate.ensemble import Ensemble
 from surrogate.features import columns_of, features, prepare, term_owners
 from surrogate.network import FitSettings, Rows, fit, one_thread
-from surrogate.split import held_out, is_test
-from surrogate.train import TrainSettings, train
+from surrogate.split import folds, held_out, is_test
+from surrogate.train import TrainSettings, fit_terms, train
 from tests.surrogate.conftest import QUICK
 from tests.surrogate.synthetic import response, synthetic
 
@@ -223,3 +223,29 @@ def test_where_a_path_was_lost_the_range_ends(small: Dataset) -> None:
     plain, wary = (train(one, seed=1, settings=TINY) for one in (small, shortened))
     met = plain.description["limit_fit"]["limit_points"]
     assert wary.description["limit_fit"]["limit_points"] == met + len(rows)
+
+
+def test_constant_weights_belong_to_their_terms() -> None:
+    """Terms of an output need not stand one after another."""
+    rng = np.random.default_rng(1)
+    designs, each = 30, 4
+    point, terms = rng.normal(size=(designs * each, 3)), rng.normal(size=(120, 4))
+    owner, weights = np.array([0, 1, 1, 0]), np.array([3.0, -2.0, 5.0, 0.5])
+    target = np.stack(
+        [(terms * weights)[:, owner == o].sum(axis=1) for o in range(2)], axis=1
+    )
+    found, _ = fit_terms(
+        point,
+        terms,
+        target,
+        np.full(designs, each),
+        (owner, np.zeros(4, dtype=bool)),
+        folds(designs, 3, 1, 0),
+        0,
+        FitSettings(hidden=(4,), steps=1, batch=8, check_every=1),
+        1.0,
+        "test",
+        None,
+        ridge=1e-9,
+    )
+    np.testing.assert_allclose(found.base, weights, rtol=1e-6)

@@ -1,0 +1,360 @@
+"""What effects change to first order: derivatives of a base's paths, at off.
+
+Most effects that a strip of elastomer has are small strains, small loads or small
+changes of a wall: what they change is nearly linear in their parameters, and the
+derivative at off has nearly all of it.  It costs a fraction of a path, and those of all
+effects of the catalogue come along with one path.  Those of the shipped dataset are
+shipped, too; for other datasets, and for a user's own effects, some are solved before
+an increment.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.dataset import Dataset, space_to_json
+from datagen.device import DESIGN_SPACE
+from datagen.errors import EffectError, FileError, InputError
+from datagen.generate import Progress, solve_all
+from datagen.parts import Manifest, inputs_digest
+from datagen.space import Parameter, Space
+from datagen.worker import Row, Solve, Task
+
+from .ensemble import REFERENCE
+from .features import columns_of
+from .increment import COARSER, PairTask, ranked_rows, solved
+from .shift import far_end
+
+Array = np.ndarray
+
+SHIPPED = REFERENCE / "slopes.h5"
+"""Those of the shipped dataset, by all effects of the catalogue that have any."""
+
+MOST_STEPS = 7
+"""Load steps of a path that are kept: neighbours say the same thing."""
+
+
+@dataclass(frozen=True)
+class SlopeTask(PairTask):
+    """One path at off to be differentiated, on the level of the task."""
+
+
+def solve_slopes(task: Task) -> Row:
+    """Solve a `SlopeTask` with the finite elements.
+
+    At `MOST_STEPS` of its load steps, in single precision, which is more than the mesh
+    is worth.
+    """
+    if not isinstance(task, SlopeTask):
+        raise InputError("task", type(task).__name__, "a SlopeTask")
+    return thinned(solved(task, task.level, effects=True))
+
+
+def thinned(row: Row) -> Row:
+    """The converged steps that are kept, in single precision."""
+    steps = int((row.status == 0).sum())
+    kept = np.unique(np.linspace(0, steps - 1, MOST_STEPS).round().astype(int))[-steps:]
+
+    def single(array: Array) -> Array:
+        rounded: Array = array[kept].astype(np.float32).astype(float)
+        return rounded
+
+    assert row.jacobian is not None
+    return Row(
+        row=row.row,
+        outputs=row.outputs,
+        pressure=row.pressure[kept],
+        values=single(row.values),
+        status=row.status[kept],
+        path_status=row.path_status,
+        limit_pressure=row.limit_pressure,
+        message=row.message,
+        parameters=row.parameters,
+        jacobian=single(row.jacobian),
+    )
+
+
+def differentiable(
+    effects: Sequence[str], base: Dataset, effects_dir: Path | None = None
+) -> tuple[str, ...]:
+    """Those of the effects that act at once and have derivatives at off.
+
+    Effects that change what is held or meshed when they are turned on have none there,
+    and those that answer to time or history have no place in a surrogate.
+
+    Raises
+    ------
+    EffectError
+        When an effect is unknown.
+    """
+    from datagen.model import Model
+    from datagen.sensitivity import check_alike, follows_path
+
+    design = base.design(0)
+    found = []
+    for name in effects:
+        model = Model((name,), COARSER, effects_dir=effects_dir)
+        problem = model.problem(design)
+        by = [p.name for p in model.space if "." in p.name and p.scale != "integer"]
+        directions = model.directions(design, by)
+        try:
+            check_alike(problem, directions)
+        except EffectError:
+            continue
+        if by and not any(follows_path(ahead.problem) for ahead in directions):
+            found.append(name)
+    return tuple(sorted(found))
+
+
+def slopes_space(effects: Sequence[str], effects_dir: Path | None = None) -> Space:
+    """Design variables, and the continuous parameters of effects as they declare them.
+
+    Raises
+    ------
+    EffectError
+        When an effect is unknown.
+    """
+    from datagen.model import Model
+
+    whole = Model(tuple(effects), effects_dir=effects_dir).space
+    own = [p for p in whole if "." in p.name and p.scale != "integer"]
+    return Space(DESIGN_SPACE.parameters + tuple(own))
+
+
+def slope_rows(
+    base: Dataset, count: int | None = None, taken: Array | None = None
+) -> Array:
+    """(n,) rows of the base that training sees, those that stand best for all first.
+
+    Parameters
+    ----------
+    count : int, optional
+        As many of them; all by default.
+    taken : int array, optional
+        Rows that are wanted only when there are no others.
+    """
+    rows = ranked_rows(base)
+    if taken is not None:
+        seen = np.isin(rows, taken)
+        rows = np.concatenate([rows[~seen], rows[seen]])
+    return np.sort(rows[:count])
+
+
+def solve_at_off(
+    base: Dataset,
+    space: Space,
+    rows: Array,
+    out: str | Path,
+    *,
+    effects_dir: Path | None = None,
+    level: str = COARSER,
+    workers: int = 1,
+    scheduler: str | None = None,
+    resume: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+    executor: Executor | None = None,
+    solve: Solve = solve_slopes,
+    version: str | None = None,
+) -> Dataset:
+    """Solve rows of a base again, and differentiate them by effects that are off.
+
+    Parameters
+    ----------
+    base : Dataset
+        Without effects.
+    space : Space
+        Of `slopes_space`.
+    rows : (n,) int array
+        Of the base.
+    out, level, workers, scheduler, resume, progress, executor, solve, version
+        As in `increment.solve_increment`, and so are the errors.
+
+    Returns
+    -------
+    Dataset
+        Effects at off, with `base_row` and derivatives.
+    """
+    from datagen.model import GENERATOR_VERSION
+
+    tuned = [p for p in space if "." in p.name]
+    effects = tuple(sorted({p.name.split(".")[0] for p in tuned}))
+    off = [0.0 if p.off is None else p.off for p in tuned]
+    inputs = np.hstack([base.inputs[rows], np.tile(off, (len(rows), 1))])
+    tasks = [
+        SlopeTask(
+            row=i,
+            variables=space.names,
+            inputs=tuple(inputs[i].tolist()),
+            effects=effects,
+            level=level,
+            max_pressure=base.max_pressure,
+            sensitivities=True,
+            pressure=tuple(base.pressure[row, : base.steps(row)].tolist()),
+            effects_dir=str(effects_dir) if effects_dir else None,
+        )
+        for i, row in enumerate(rows.tolist())
+    ]
+    manifest = Manifest(
+        designs=len(rows),
+        seed=base.seed,
+        effects=effects,
+        level=level,
+        max_pressure=base.max_pressure,
+        generator_version=GENERATOR_VERSION if version is None else version,
+        design_space=tuple(space_to_json(space)),
+        inputs_sha256=inputs_digest(inputs),
+        sensitivities=len(rows),
+        base=base.digest(),
+    )
+    return solve_all(
+        out,
+        manifest,
+        tasks,
+        {"inputs": inputs, "space": space, "base_row": rows},
+        workers=workers,
+        scheduler=scheduler,
+        resume=resume,
+        progress=progress,
+        executor=executor,
+        solve=solve,
+    )
+
+
+def shipped(base: Dataset, effects: Sequence[str]) -> Dataset | None:
+    """The shipped slopes, where they are this dataset's and have all of the effects."""
+    try:
+        found = Dataset.read(SHIPPED)
+    except FileError:
+        return None
+    known = set(effects) <= set(found.effects)
+    return found if known and found.base == base.digest() else None
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Paths without effects, and their derivatives by j parameters, n designs.
+
+    Parameters
+    ----------
+    columns : mapping of (n,) arrays, SI
+        The variables of the design space.
+    base_row : (n,) int array
+        Rows of the base's dataset.
+    pressure : (n, s) array, Pa
+        0 where there is no step.
+    before : (n, s, m) array, SI
+        0 where there is no step.
+    good : (n, s) bool array
+    tuned : tuple of j Parameter
+        Over their stated ranges.
+    known : tuple of k int
+        Which of them have derivatives.
+    jacobian : (n, s, m, k) array, SI
+        NaN at limit points.
+    """
+
+    columns: Mapping[str, Array]
+    base_row: Array
+    pressure: Array
+    before: Array
+    good: Array
+    tuned: tuple[Parameter, ...]
+    known: tuple[int, ...]
+    jacobian: Array
+
+    @property
+    def largest(self) -> Array:
+        """(n, s, m) largest magnitude, at off or at a far end of a range, SI."""
+        found: Array = np.abs(self.before)
+        for _, difference in self.views(1.0):
+            after = self.before + np.where(np.isfinite(difference), difference, 0.0)
+            found = np.maximum(found, np.abs(after))
+        return found
+
+    def views(self, step: float) -> list[tuple[Array, Array]]:
+        """Parameters (n, j) and differences (n, s, m) a step of t from off, along each.
+
+        Parameters
+        ----------
+        step : float
+            Of the coordinate that `shift.coordinates` gives.
+        """
+        off = np.array([0.0 if p.off is None else p.off for p in self.tuned])
+        found = []
+        for k, j in enumerate(self.known):
+            values = np.tile(off, (len(self.base_row), 1))
+            values[:, j] = far_end(self.tuned[j], step)
+            found.append((values, self.jacobian[..., k] * (values[0, j] - off[j])))
+        return found
+
+
+def tangent_of(slopes: Dataset, base: Dataset, space: Space) -> Tangent:
+    """The slopes by the parameters of a space, for training.
+
+    Parameters
+    ----------
+    slopes : Dataset
+        Whose rows are paired with the base's, effects at off.
+    base : Dataset
+    space : Space
+        Design variables, and parameters over their stated ranges.
+
+    Raises
+    ------
+    InputError
+        When they were made from another dataset.
+    """
+    if slopes.base_row is None or slopes.base != base.digest():
+        raise InputError("slopes", slopes.base[:12], "those of this dataset")
+    assert slopes.jacobian is not None
+    tuned = tuple(p for p in space if "." in p.name)
+    known = [j for j, p in enumerate(tuned) if p.name in slopes.parameters]
+    places = [slopes.parameters.index(tuned[j].name) for j in known]
+    good = slopes.status == 0
+    return Tangent(
+        columns=columns_of(base.variables, base.inputs[slopes.base_row]),
+        base_row=slopes.base_row,
+        pressure=np.where(good, slopes.pressure, 0.0),
+        before=np.where(good[..., None], slopes.values, 0.0),
+        good=good,
+        tuned=tuned,
+        known=tuple(known),
+        jacobian=slopes.jacobian[..., places],
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """``python -m surrogate.slopes DATASET OUT COUNT WORKERS``, by the whole catalogue.
+
+    A run that was stopped goes on.
+    """
+    from datagen.effects import catalogue
+
+    source, out, count, workers = arguments
+    base = Dataset.read(source)
+
+    def report(state: Progress) -> None:
+        if state.done % 20 == 0:
+            print(f"{state.done} of {state.total} paths at off", flush=True)
+
+    found = solve_at_off(
+        base,
+        slopes_space(differentiable(tuple(catalogue()), base)),
+        slope_rows(base, int(count)),
+        out,
+        workers=int(workers),
+        resume=True,
+        progress=report,
+    )
+    print(f"{out}: {len(found)} paths, {len(found.parameters)} derivatives each")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
