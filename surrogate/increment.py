@@ -45,9 +45,9 @@ TEST_PATHS = 0.15
 """Share of the paths whose designs neither the base nor the increment trains on."""
 
 COARSER = "draft"
-"""Mesh of the differences.  On eight devices at random with a cure mismatch of -0.6 %,
-that of the standard mesh was met to 0.05 % of the path's largest tip deflection in the
-median, where the path itself was 1.1 % off, in a third of the time for both paths."""
+"""Mesh of the differences: two of its paths take less than half of the time of one on
+the standard mesh, and miss the difference of two of those by a small part of what one
+of them misses (``docs/corrected-surrogate.md``)."""
 
 NEAR_PATHS = 0.3
 """Share of the training paths whose designs are the nearest to given ones."""

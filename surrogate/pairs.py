@@ -106,7 +106,7 @@ def pair(base: Dataset, increment: Dataset) -> Pairs:
     before = np.zeros_like(increment.values)
     shared = np.zeros(increment.status.shape, dtype=bool)
     for i, row in enumerate(rows):
-        steps = base.steps(int(row))
+        steps = min(base.steps(int(row)), increment.pressure.shape[1])
         given = np.isfinite(increment.pressure[i, :steps])
         if (increment.pressure[i, :steps] != base.pressure[row, :steps])[given].any():
             raise InputError("increment", f"row {i}", "the load steps of its base")

@@ -337,6 +337,6 @@ def test_a_path_is_timed_beside_others_once_the_workers_run() -> None:
 
     with ThreadPoolExecutor(2) as executor:
         seconds = _one_path(tasks, GivenExecutor(executor, 2), 2, solve)
-    assert seconds > 0.04
+    assert seconds > 0.05 * 3 / 4.5  # for one of 3 balloons, the mean, of 3 and 6
     assert sorted(seen[:2]) == [(0, 1), (2, 1)]
     assert sorted(seen[2:]) == [(0, 2), (2, 2)]

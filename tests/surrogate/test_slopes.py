@@ -276,3 +276,20 @@ def test_a_difference_ends_where_one_of_its_paths_does() -> None:
     longer = added(task, row(4, np.nan, 1.5), row(4, 20.0, 0.5))
     assert len(longer.pressure) == 3  # the base's path has no more
     assert np.isnan(longer.limit_pressure)
+
+
+def test_pairs_of_paths_that_end_before_their_bases(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    """All of them: the file has fewer load steps then than its base."""
+    found = increment(dataset, tmp_path / "i.h5", "tilt", 20, 4)
+    short = replace(
+        found,
+        pressure=found.pressure[:, :3],
+        values=found.values[:, :3],
+        status=found.status[:, :3],
+        jacobian=None if found.jacobian is None else found.jacobian[:, :3],
+    )
+    pairs, whole = pair(dataset, short), pair(dataset, found)
+    np.testing.assert_array_equal(pairs.before, whole.before[:, :3])
+    np.testing.assert_array_equal(pairs.shared, whole.shared[:, :3])
