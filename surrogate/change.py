@@ -52,11 +52,15 @@ SHARES = tuple(np.linspace(0, 1, 11).tolist())
 DEVIATIONS = 2.0
 """Standard errors by which the networks must be better than nothing."""
 
+PAIRS_TO_SLOPES = 0.2
+"""How much pairs count, all together, over slopes: few as they are, they alone know
+what is not linear."""
+
 CHANGE_RIDGE = 0.03
 """Of the constant weights: pairs are few."""
 
 CHANGE_SETTINGS = FitSettings(
-    hidden=(64, 64), steps=4000, batch=256, rate=1e-2, decay=0.5, check_every=100
+    hidden=(64, 64), steps=4000, batch=256, rate=1e-2, decay=1.0, check_every=100
 )
 
 
@@ -310,7 +314,9 @@ def _fit_change(
         for name in ("point", "terms", "target", "count")
     )
     owner = effect_owners(values.shape[1])
-    weight = 1 / np.repeat(count, count)
+    often = np.ones(len(count), dtype=int)
+    often[: len(pairs)] = max(1, round((len(count) / len(pairs) - 1) * PAIRS_TO_SLOPES))
+    weight = np.repeat(often / count, count)
     # In units of the typical change of the output that changes most: all outputs are
     # shares of their path's largest magnitude, and as such what is missed of one that
     # hardly changes matters as little.
@@ -329,6 +335,7 @@ def _fit_change(
         "change",
         progress,
         CHANGE_RIDGE,
+        often,
     )
 
 

@@ -41,8 +41,10 @@ Values = Mapping[str, Mapping[str, float]]
 FEWEST_STEPS = 3
 """A base path with fewer converged steps says too little to be paired with."""
 
-TEST_PATHS = 0.15
-"""Share of the paths whose designs neither the base nor the increment trains on."""
+TEST_PATHS = 0.3
+"""Share of the paths whose designs neither the base nor the increment trains on.
+
+What is said of a model rests on them."""
 
 COARSER = "draft"
 """Mesh of the differences: two of its paths take less than half of the time of one on

@@ -297,6 +297,7 @@ def fit_terms(
     stage: str,
     progress: Progress | None,
     ridge: float = RIDGE,
+    often: Array | None = None,
 ) -> tuple[Expansion, dict[str, Any]]:
     """Fit constant weights of the terms, then the networks on top of them.
 
@@ -321,11 +322,14 @@ def fit_terms(
         As in `fit`.
     ridge : float
         Of the constant weights, over the mean square of each term.
+    often : (d,) int array, optional
+        How many times as much as others a design counts; once by default.
     """
     import torch
 
     owner, positive = roles
-    weight = 1 / np.repeat(count, count)
+    often = np.ones(len(count), dtype=int) if often is None else often
+    weight = np.repeat(often / count, count)
     # In units in which a change of a weight by 1 changes the error by about 1.
     size = np.average(terms**2, axis=0, weights=weight)
     # A term that is nothing everywhere stays nothing.
@@ -356,7 +360,11 @@ def fit_terms(
 
     stack, report = fit(
         point,
-        Rows(np.cumsum(count) - count, count, held_out),
+        Rows(
+            np.repeat(np.cumsum(count) - count, often),
+            np.repeat(count, often),
+            np.repeat(held_out, often, axis=1),
+        ),
         len(owner),
         loss,
         settings,
