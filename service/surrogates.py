@@ -325,7 +325,10 @@ def about(made: AdoptedSurrogate) -> dict[str, Any]:
 def lines(made: AdoptedSurrogate) -> list[str]:
     """The same for people."""
     known = about(made)
-    found = [f"{known['paths']} paths on the mesh {known['level']}."]
+    tests = (known["accuracy"] or {}).get("n_test", 0)
+    found = [
+        f"{known['paths']} paths, {tests} of them to test, on mesh {known['level']}."
+    ]
     if known["handed_on"]:
         found.append(f"Learned for version {known['handed_on']}: this fit is inside.")
     for p in made.corrected.tuned:

@@ -53,8 +53,8 @@ DEVIATIONS = 2.0
 """Standard errors by which the networks must be better than nothing."""
 
 PAIRS_TO_SLOPES = 0.2
-"""How much pairs count, all together, over slopes: few as they are, they alone know
-what is not linear."""
+"""How much pairs count at least, all together, over slopes: few as they are, they alone
+know what is not linear.  As much where a parameter has no slopes."""
 
 CHANGE_RIDGE = 0.03
 """Of the constant weights: pairs are few."""
@@ -140,11 +140,8 @@ def fit_corrected(
     assert pairs.data.base_row is not None  # `pair` refuses an increment without
     count, repeats = settings.folds, settings.repeats
     tangent = None if slopes is None else tangent_of(slopes, dataset, increment.space)
-    designs = pairs.data.base_row
-    if tangent is not None:
-        designs = np.concatenate([designs, tangent.base_row])
-    every = folds_of(designs, count, repeats, seed)
-    held = every[:, : len(pairs)]
+    held = folds_of(pairs.data.base_row, count, repeats, seed)
+    every = held if tangent is None else _held_too(held, pairs, tangent, settings, seed)
     unseen = Unseen(
         base.unseen_by(dataset, pairs.data.base_row),
         np.stack([np.flatnonzero(one) for one in held.T], axis=1),
@@ -288,6 +285,22 @@ def _block(
     )
 
 
+def _held_too(
+    held: Array, pairs: Pairs, tangent: Tangent, settings: ChangeSettings, seed: int
+) -> Array:
+    """(M, n + d) bool: of the pairs as it is, then of the slopes.
+
+    Those of a design that is paired are held out with its pair.
+    """
+    assert pairs.data.base_row is not None
+    found = folds_of(tangent.base_row, settings.folds, settings.repeats, seed + 1)
+    paired = {int(row): i for i, row in enumerate(pairs.data.base_row)}
+    for i, row in enumerate(tangent.base_row.tolist()):
+        if row in paired:
+            found[:, i] = held[:, paired[row]]
+    return np.concatenate([held, found], axis=1)
+
+
 def _fit_change(
     base: Ensemble,
     pairs: Pairs,
@@ -315,7 +328,10 @@ def _fit_change(
     )
     owner = effect_owners(values.shape[1])
     often = np.ones(len(count), dtype=int)
-    often[: len(pairs)] = max(1, round((len(count) / len(pairs) - 1) * PAIRS_TO_SLOPES))
+    if tangent is not None:
+        whole = len(tangent.known) == len(tangent.tuned)
+        share = PAIRS_TO_SLOPES if whole else 1.0
+        often[: len(pairs)] = max(1, round(share * len(tangent.base_row) / len(pairs)))
     weight = np.repeat(often / count, count)
     # In units of the typical change of the output that changes most: all outputs are
     # shares of their path's largest magnitude, and as such what is missed of one that

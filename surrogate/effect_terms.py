@@ -67,7 +67,7 @@ def beam_terms(prepared: Prepared) -> Array:
     by kappa = E_u A_u e (z_u - z_0)/B: angle kappa l, tip kappa l times the way from
     its middle to the tip; one term for the balloons and one for the rest.  A body force
     g of the whole section A: angle g A L^3/(6 B), tip g A L^4/(8 B).  An unloaded strip
-    that is curved by k or tilted: angle k L, tip k L^2/2 and L.
+    that is curved by k: angle k L, tip k L^2/2; one that is tilted: tip L.
     """
     c, beam = prepared.columns, prepared.beam
     walls = (c["divisions_x"] - 1) * c["wall"]

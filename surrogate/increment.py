@@ -121,14 +121,18 @@ def solved(task: PairTask, level: str, *, effects: bool) -> Row:
 def added(task: PairTask, changed: Row, plain: Row) -> Row:
     """The base's path with the difference of two paths on a coarser mesh added to it.
 
-    As far as all three go; the limit pressure moves in the same proportion.
+    The limit pressure moves in the same proportion, and the path goes as far as all
+    three do and no further than that.
     """
     before = np.array(task.before)
-    steps = 0
-    for both in zip(changed.status, plain.status, before, strict=False):
-        if both[0] or both[1]:
-            break
-        steps += 1
+    limit, moved = changed.limit_pressure, task.base_limit / plain.limit_pressure
+    if math.isfinite(moved):
+        limit *= moved
+    steps = min(len(before), len(changed.status), len(plain.status))
+    good = (changed.status[:steps] == 0) & (plain.status[:steps] == 0)
+    if math.isfinite(limit):
+        good &= changed.pressure[:steps] <= limit
+    steps = int(np.logical_and.accumulate(good).sum())
     end = changed if plain.path_status in PROPER_ENDS else plain
     return Row(
         row=task.row,
@@ -137,8 +141,7 @@ def added(task: PairTask, changed: Row, plain: Row) -> Row:
         values=before[:steps] + (changed.values[:steps] - plain.values[:steps]),
         status=changed.status[:steps],
         path_status=end.path_status,
-        limit_pressure=changed.limit_pressure
-        * (task.base_limit / plain.limit_pressure),
+        limit_pressure=limit,
         message=end.message,
         parameters=changed.parameters,
         jacobian=None if changed.jacobian is None else changed.jacobian[:steps],

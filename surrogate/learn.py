@@ -34,6 +34,7 @@ from datagen.worker import Solve
 
 from .change import SETTINGS, ChangeSettings, fit_corrected, nested
 from .corrected import Corrected
+from .corrected_store import KIND
 from .ensemble import Ensemble
 from .equivalent import Equivalent, fit_equivalent
 from .increment import (
@@ -51,6 +52,7 @@ from .increment import (
 from .pairs import tuned_names
 from .slopes import (
     differentiable,
+    fits_at_off,
     shipped,
     slope_rows,
     slopes_space,
@@ -75,7 +77,7 @@ FEWEST_PATHS = 16
 MOST_PATHS = 400
 """What a time budget is turned into at most."""
 
-SOLVING_SHARE = 0.7
+SOLVING_SHARE = 0.6
 """Of a time budget; the rest is for timing a path, for those that take longer than the
 median, and for training."""
 
@@ -229,7 +231,10 @@ def learn(
                 seconds = _one_path(tasks, pool, max(workers, 1), means.solve)
                 try:
                     solved_too = sloped is not None and slopes is None
-                    count = _affordable(minutes, seconds, max(workers, 1), solved_too)
+                    coarser = any(task.coarser for task in tasks)
+                    count = _affordable(
+                        minutes, seconds, max(workers, 1), coarser, solved_too
+                    )
                 except InputError:  # nothing was begun: other minutes may be tried
                     shutil.rmtree(work, ignore_errors=True)
                     raise
@@ -253,8 +258,12 @@ def learn(
             "version": means.version,
         }
         if sloped is not None and slopes is None:
+            fitting = None
+            if means.slopes is None:
+                having = {p.name.split(".")[0] for p in sloped if "." in p.name}
+                fitting = fits_at_off(tuple(sorted(having)), effects_dir)
             wanted_rows = slope_rows(
-                dataset, SLOPES_PER_PATH * len(planned), planned.base_row
+                dataset, SLOPES_PER_PATH * len(planned), planned.base_row, fitting
             )
             slopes = solve_at_off(
                 dataset,
@@ -420,6 +429,7 @@ def _request(
         "paths": paths,
         "minutes": minutes,
         "settings": repr(settings),
+        "scheme": KIND.schema_version,
     }
 
 
@@ -543,7 +553,11 @@ def _one_path(
 
 
 def _affordable(
-    minutes: float, seconds: float, workers: int, slopes: bool = False
+    minutes: float,
+    seconds: float,
+    workers: int,
+    coarser: bool = True,
+    slopes: bool = False,
 ) -> int:
     """Number of paths that a time budget allows.
 
@@ -551,13 +565,15 @@ def _affordable(
     ----------
     minutes : float
     seconds : float
-        Of a pair on the coarser mesh.
+        Of a pair on the coarser mesh, or of a path where there is none.
     workers : int
+    coarser : bool
+        Whether there is one.
     slopes : bool
         Whether slopes are solved, too.
     """
-    seconds *= 1 - TEST_PATHS + TEST_PATHS * TESTED_TIME
-    seconds *= 1 + SLOPES_PER_PATH * SLOPE_TIME * slopes
+    tested, slope = (TESTED_TIME, SLOPE_TIME) if coarser else (1.0, 2 * SLOPE_TIME)
+    seconds *= 1 - TEST_PATHS + TEST_PATHS * tested + SLOPES_PER_PATH * slope * slopes
     fits = int(SOLVING_SHARE * 60 * minutes * workers / max(seconds, 1e-3))
     if fits < FEWEST_PATHS:
         needed = FEWEST_PATHS * seconds / (SOLVING_SHARE * 60 * workers)

@@ -150,7 +150,7 @@ def fit(
     stage: str = "",
     progress: Progress | None = None,
 ) -> tuple[Stack, dict[str, Any]]:
-    """Train a stack; each design counts the same, however many rows it has.
+    """Train a stack; each entry of `rows` counts the same, however many rows it has.
 
     All members advance together and stop together, at the step where the mean loss
     over each one's own held-out designs is least.  One number, the step, is all that

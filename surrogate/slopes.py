@@ -14,12 +14,14 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from datagen.dataset import Dataset, space_to_json
-from datagen.device import DESIGN_SPACE
+from datagen.device import DESIGN_SPACE, Design
 from datagen.errors import EffectError, FileError, InputError
 from datagen.generate import Progress, solve_all
 from datagen.parts import Manifest, inputs_digest
@@ -30,11 +32,22 @@ from .ensemble import REFERENCE
 from .features import columns_of
 from .increment import COARSER, PairTask, ranked_rows, solved
 from .shift import far_end
+from .split import held_out
+
+if TYPE_CHECKING:
+    from datagen.problem import Problem
+    from datagen.sensitivity import Direction
 
 Array = np.ndarray
 
 SHIPPED = REFERENCE / "slopes.h5"
 """Those of the shipped dataset, by all effects of the catalogue that have any."""
+
+BEYOND_MEDIAN = 2.0
+"""How much larger than in the middle of its path a value at a far end may be taken."""
+
+PROBES = 20
+"""Designs that are tried for one on which an effect can act."""
 
 MOST_STEPS = 7
 """Load steps of a path that are kept: neighbours say the same thing."""
@@ -93,23 +106,37 @@ def differentiable(
     EffectError
         When an effect is unknown.
     """
-    from datagen.model import Model
     from datagen.sensitivity import check_alike, follows_path
 
-    design = base.design(0)
     found = []
     for name in effects:
-        model = Model((name,), COARSER, effects_dir=effects_dir)
-        problem = model.problem(design)
-        by = [p.name for p in model.space if "." in p.name and p.scale != "integer"]
-        directions = model.directions(design, by)
-        try:
-            check_alike(problem, directions)
-        except EffectError:
-            continue
-        if by and not any(follows_path(ahead.problem) for ahead in directions):
-            found.append(name)
+        for row in ranked_rows(base)[:PROBES]:
+            ahead = _ahead((name,), base.design(row), effects_dir)
+            if ahead is None:
+                continue
+            problem, directions = ahead
+            try:
+                check_alike(problem, directions)
+            except EffectError:
+                break
+            if directions and not any(follows_path(d.problem) for d in directions):
+                found.append(name)
+            break
     return tuple(sorted(found))
+
+
+def _ahead(
+    effects: tuple[str, ...], design: Design, effects_dir: Path | None
+) -> tuple[Problem, list[Direction]] | None:
+    """A device with effects at off, and a step from there; None where none fits."""
+    from datagen.model import Model
+
+    model = Model(effects, COARSER, effects_dir=effects_dir)
+    by = [p.name for p in model.space if "." in p.name and p.scale != "integer"]
+    try:
+        return model.problem(design), model.directions(design, by)
+    except InputError:
+        return None
 
 
 def slopes_space(effects: Sequence[str], effects_dir: Path | None = None) -> Space:
@@ -128,7 +155,10 @@ def slopes_space(effects: Sequence[str], effects_dir: Path | None = None) -> Spa
 
 
 def slope_rows(
-    base: Dataset, count: int | None = None, taken: Array | None = None
+    base: Dataset,
+    count: int | None = None,
+    taken: Array | None = None,
+    fits: Callable[[Design], bool] | None = None,
 ) -> Array:
     """(n,) rows of the base that training sees, those that stand best for all first.
 
@@ -138,12 +168,24 @@ def slope_rows(
         As many of them; all by default.
     taken : int array, optional
         Rows that are wanted only when there are no others.
+    fits : callable, optional
+        Whether the effects can act on a design; others are passed over.
     """
     rows = ranked_rows(base)
     if taken is not None:
         seen = np.isin(rows, taken)
         rows = np.concatenate([rows[~seen], rows[seen]])
+    if fits is not None:
+        fitting = (row for row in rows.tolist() if fits(base.design(row)))
+        rows = np.array(list(islice(fitting, count)), dtype=np.int64)
     return np.sort(rows[:count])
+
+
+def fits_at_off(
+    effects: tuple[str, ...], effects_dir: Path | None = None
+) -> Callable[[Design], bool]:
+    """Whether a design takes effects that are hardly more than off."""
+    return lambda design: _ahead(effects, design, effects_dir) is not None
 
 
 def solve_at_off(
@@ -272,9 +314,14 @@ class Tangent:
     def largest(self) -> Array:
         """(n, s, m) largest magnitude, at off or at a far end of a range, SI."""
         found: Array = np.abs(self.before)
+        least = found.max(axis=1)
         for _, difference in self.views(1.0):
-            after = self.before + np.where(np.isfinite(difference), difference, 0.0)
-            found = np.maximum(found, np.abs(after))
+            known = np.isfinite(difference)
+            after = np.abs(self.before + np.where(known, difference, 0.0))
+            # Next to a limit point a straight line from off leads far beyond.
+            seen = np.where(known & self.good[..., None], after, np.nan)
+            most = np.maximum(least, BEYOND_MEDIAN * np.nanmedian(seen, axis=1))
+            found = np.maximum(found, np.minimum(after, most[:, None]))
         return found
 
     def views(self, step: float) -> list[tuple[Array, Array]]:
@@ -294,8 +341,8 @@ class Tangent:
         return found
 
 
-def tangent_of(slopes: Dataset, base: Dataset, space: Space) -> Tangent:
-    """The slopes by the parameters of a space, for training.
+def tangent_of(slopes: Dataset, base: Dataset, space: Space) -> Tangent | None:
+    """The slopes by the parameters of a space, for training; None where it has none.
 
     Parameters
     ----------
@@ -308,14 +355,31 @@ def tangent_of(slopes: Dataset, base: Dataset, space: Space) -> Tangent:
     Raises
     ------
     InputError
-        When they were made from another dataset.
+        When they were made from another dataset, or of other designs or outputs.
     """
     if slopes.base_row is None or slopes.base != base.digest():
         raise InputError("slopes", slopes.base[:12], "those of this dataset")
-    assert slopes.jacobian is not None
+    width, rows = len(base.variables), slopes.base_row
+    same = np.array_equal(slopes.inputs[:, :width], base.inputs[rows])
+    if not same or slopes.outputs != base.outputs or slopes.jacobian is None:
+        raise InputError("slopes", "designs, outputs", "those of the base's rows")
     tuned = tuple(p for p in space if "." in p.name)
-    known = [j for j, p in enumerate(tuned) if p.name in slopes.parameters]
-    places = [slopes.parameters.index(tuned[j].name) for j in known]
+    known, places = [], []
+    for j, p in enumerate(tuned):
+        if p.name in slopes.parameters:
+            place = slopes.parameters.index(p.name)
+            own = slopes.jacobian[..., place]
+            # The direction of a weight that is nothing: true, and nothing to learn.
+            if np.nanmax(np.abs(own), initial=0.0) > 0:
+                known.append(j)
+                places.append(place)
+    found = slopes.jacobian[..., places]
+    some = ((slopes.status == 0) & np.isfinite(found).any(axis=(2, 3))).any(axis=1)
+    some &= ~held_out(slopes)
+    if not some.any():
+        return None
+    slopes, found = slopes.subset(np.flatnonzero(some)), found[some]
+    assert slopes.base_row is not None
     good = slopes.status == 0
     return Tangent(
         columns=columns_of(base.variables, base.inputs[slopes.base_row]),
@@ -325,7 +389,7 @@ def tangent_of(slopes: Dataset, base: Dataset, space: Space) -> Tangent:
         good=good,
         tuned=tuned,
         known=tuple(known),
-        jacobian=slopes.jacobian[..., places],
+        jacobian=found,
     )
 
 

@@ -288,7 +288,7 @@ def test_time_budget(
     monkeypatch: pytest.MonkeyPatch, dataset: Dataset, finished: Path, tmp_path: Path
 ) -> None:
     """One path is timed; the number that follows is kept for a resumed run."""
-    timed = iter([9.0])
+    timed = iter([8.0])
     monkeypatch.setattr(learning, "_one_path", lambda *_: next(timed))
     base = Ensemble.load(finished / "base")
     stopped = []
@@ -308,11 +308,11 @@ def test_time_budget(
     out = tmp_path / "m"
     with pytest.raises(KeyboardInterrupt):
         learn(base, dataset, ("tilt",), {}, out, report=stop, **settings)  # type: ignore[arg-type]
-    assert stopped[0] == ("increment", 0, 16)  # 0.7 x 300 s / (9 s x 1.39)
+    assert stopped[0] == ("increment", 0, 16)  # 0.6 x 300 s / (8 s x 1.39)
     model = learn(base, dataset, ("tilt",), {}, out, resume=True, **settings)  # type: ignore[arg-type]
     assert model.description["paths"] == 16
     monkeypatch.setattr(learning, "_one_path", lambda *_: 60.0)
-    with pytest.raises(InputError, match=r"at least 31\.8: a path takes 83 s"):
+    with pytest.raises(InputError, match=r"at least 37\.1: a path takes 83 s"):
         learn(base, dataset, ("tilt",), {}, tmp_path / "n", **settings)  # type: ignore[arg-type]
     assert not (tmp_path / "n.work").exists()  # those minutes can be asked for now
 

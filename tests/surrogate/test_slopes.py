@@ -15,7 +15,7 @@ from datagen.effects import catalogue
 from datagen.errors import InputError
 from datagen.response import OUTPUT_NAMES
 from datagen.space import Parameter
-from datagen.worker import Row, Task, solve_row
+from datagen.worker import STEP_STATUS, Row, Task, solve_row
 from surrogate import learn as learning
 from surrogate.change import change_errors, fit_corrected
 from surrogate.ensemble import REFERENCE, Ensemble
@@ -27,6 +27,7 @@ from surrogate.slopes import (
     MOST_STEPS,
     SlopeTask,
     differentiable,
+    fits_at_off,
     shipped,
     slope_rows,
     slopes_space,
@@ -44,6 +45,29 @@ from tests.surrogate.pairs import (
     slopes,
     solve_synthetic,
 )
+
+PICKY = '''
+from dataclasses import replace
+
+from datagen.effects import effect
+from datagen.errors import InputError
+from datagen.space import Parameter
+
+
+@effect(
+    stage="load",
+    parameters=[
+        Parameter(
+            "offset", unit="Pa", lower=-1e3, upper=1e3, off=0.0, source="a test of ours"
+        )
+    ],
+)
+def picky(problem, offset):
+    """An offset of the pressure, of strips of one row alone."""
+    if problem.design.divisions_y > 1:
+        raise InputError("divisions_y", problem.design.divisions_y, "1")
+    return replace(problem, pressure_offset=problem.pressure_offset + offset)
+'''
 
 _ROW = Row(
     row=0,
@@ -87,6 +111,7 @@ def test_a_tangent_has_the_parameters_of_a_space(
     found = slopes(dataset, tmp_path / "s.h5", "tilt", 12)
     np.testing.assert_array_equal(found.base_row, slope_rows(dataset, 12))
     tangent = tangent_of(found, dataset, SPACES["both"])
+    assert tangent is not None
     assert [tangent.tuned[j].name for j in tangent.known] == ["tilt.angle"]
     ((values, difference),) = tangent.views(0.5)
     np.testing.assert_array_equal(values, np.tile([1.0, 0.1], (12, 1)))
@@ -276,6 +301,69 @@ def test_a_difference_ends_where_one_of_its_paths_does() -> None:
     longer = added(task, row(4, np.nan, 1.5), row(4, 20.0, 0.5))
     assert len(longer.pressure) == 3  # the base's path has no more
     assert np.isnan(longer.limit_pressure)
+    # 2 Pa is beyond its own limit pressure, 1.6 times 2/2 Pa.
+    past = replace(task, base_limit=2.0)
+    assert len(added(past, row(4, 1.6, 1.5), row(4, 2.0, 0.5)).pressure) == 1
+    # Without the effect there was none on the coarser mesh.
+    alone = added(task, row(3, 26.0, 1.5), row(4, np.nan, 0.5))
+    assert alone.limit_pressure == 26.0
+
+
+def test_slopes_that_say_nothing_are_left_out(dataset: Dataset, tmp_path: Path) -> None:
+    """Paths without a step, designs held out, a parameter that does nothing."""
+    found = slopes(dataset, tmp_path / "s.h5", "both", 12)
+    assert found.jacobian is not None and found.base_row is not None
+    status, slope = found.status.copy(), found.jacobian.copy()
+    status[3] = STEP_STATUS.index("step_too_small")
+    slope[5] = np.nan
+    tangent = tangent_of(
+        replace(found, status=status, jacobian=slope), dataset, SPACES["both"]
+    )
+    assert tangent is not None
+    left = np.delete(found.base_row, [3, 5])
+    np.testing.assert_array_equal(tangent.base_row, left)
+    place = found.parameters.index("tilt.angle")
+    slope[..., place] = 0.0
+    still = replace(found, jacobian=slope)
+    both = tangent_of(still, dataset, SPACES["both"])
+    assert both is not None
+    assert [both.tuned[j].name for j in both.known] == ["soft.factor"]
+    assert tangent_of(still, dataset, SPACES["tilt"]) is None
+    held = np.flatnonzero(held_out(dataset))[:3]
+    wrong = replace(found.subset(range(3)), base_row=held)
+    with pytest.raises(InputError, match="those of the base's rows"):
+        tangent_of(wrong, dataset, SPACES["tilt"])
+    tests = replace(
+        wrong, inputs=np.hstack([dataset.inputs[held], wrong.inputs[:, -2:]])
+    )
+    assert tangent_of(tests, dataset, SPACES["tilt"]) is None
+
+
+def test_next_to_a_limit_point_a_slope_is_no_scale(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    found = slopes(dataset, tmp_path / "s.h5", "tilt", 12)
+    assert found.jacobian is not None
+    before = tangent_of(found, dataset, SPACES["tilt"])
+    steep = found.jacobian.copy()
+    last = [found.steps(i) - 1 for i in range(12)]
+    steep[np.arange(12), last] *= 1e4
+    after = tangent_of(replace(found, jacobian=steep), dataset, SPACES["tilt"])
+    assert before is not None and after is not None
+    sizes = [one.largest.max(axis=1)[:, 1] for one in (before, after)]
+    assert (sizes[1] <= 3 * sizes[0]).all()
+
+
+def test_designs_on_which_an_effect_cannot_act(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    """A user's effect that refuses strips of several rows: others are taken."""
+    (tmp_path / "picky.py").write_text(PICKY)
+    base = Dataset.read(REFERENCE / "dataset.h5")
+    assert differentiable(("picky",), base, tmp_path) == ("picky",)
+    rows = slope_rows(base, 5, fits=fits_at_off(("picky",), tmp_path))
+    assert len(rows) == 5
+    assert {base.design(row).divisions_y for row in rows.tolist()} == {1}
 
 
 def test_pairs_of_paths_that_end_before_their_bases(

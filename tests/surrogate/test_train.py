@@ -249,3 +249,37 @@ def test_constant_weights_belong_to_their_terms() -> None:
         ridge=1e-9,
     )
     np.testing.assert_allclose(found.base, weights, rtol=1e-6)
+
+
+def test_a_design_that_counts_more_often() -> None:
+    """As much as if it stood there that often."""
+    rng = np.random.default_rng(2)
+    designs, each = 12, 3
+    point, terms = rng.normal(size=(36, 2)), rng.normal(size=(36, 2))
+    target = rng.normal(size=(36, 1))
+    often = np.ones(designs, dtype=int)
+    often[:2] = 3
+    rows = np.concatenate([np.arange(6), np.arange(6), np.arange(36)])
+    settings = FitSettings(hidden=(4,), steps=1, batch=8, check_every=1)
+
+    def weights(chosen: np.ndarray, times: np.ndarray | None) -> np.ndarray:
+        count = np.full(len(chosen) // each, each)
+        found, _ = fit_terms(
+            point[chosen],
+            terms[chosen],
+            target[chosen],
+            count,
+            (np.zeros(2, dtype=int), np.zeros(2, dtype=bool)),
+            folds(len(count), 3, 1, 0),
+            0,
+            settings,
+            1.0,
+            "test",
+            None,
+            often=times,
+        )
+        return found.base
+
+    np.testing.assert_allclose(
+        weights(np.arange(36), often), weights(rows, None), rtol=1e-9
+    )
