@@ -1,8 +1,7 @@
 """What effects change to first order: derivatives of a base's paths, at off.
 
-Most effects that a strip of elastomer has are small strains, small loads or small
-changes of a wall: what they change is nearly linear in their parameters, and the
-derivative at off has nearly all of it.  It costs a fraction of a path, and those of all
+Many effects are small strains, small loads or small changes of a wall: what they change
+is nearly linear in their parameters, and the derivative at off has nearly all of it.  It costs a fraction of a path, and those of all
 effects of the catalogue come along with one path.  Those of the shipped dataset are
 shipped, too; for other datasets, and for a user's own effects, some are solved before
 an increment.
