@@ -1,10 +1,10 @@
 """What effects change to first order: derivatives of a base's paths, at off.
 
 Many effects are small strains, small loads or small changes of a wall: what they change
-is nearly linear in their parameters, and the derivative at off has nearly all of it.  It costs a fraction of a path, and those of all
-effects of the catalogue come along with one path.  Those of the shipped dataset are
-shipped, too; for other datasets, and for a user's own effects, some are solved before
-an increment.
+is nearly linear in their parameters, and the derivative at off has nearly all of it.
+It costs a fraction of a path, and those of all effects of the catalogue come along with
+one path.  Those of the shipped dataset are shipped, too; for other datasets, and for a
+user's own effects, some are solved before an increment.
 """
 
 from __future__ import annotations

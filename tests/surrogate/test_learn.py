@@ -209,8 +209,8 @@ def test_a_new_beginning(dataset: Dataset, finished: Path, tmp_path: Path) -> No
     with pytest.raises(Stop):
         begin(out, paths=17, restart="b", report=stop)
     assert Corrected.load(out).version == first.version
-    assert begin(out, paths=17, restart="b").description["paths"] == 16
-    assert Corrected.load(out).description["paths"] == 16 and not work.exists()
+    assert begin(out, paths=17, restart="b").description["paths"] == 17
+    assert Corrected.load(out).description["paths"] == 17 and not work.exists()
     # Damage is no reason not to begin anew.
     (out / "model.json").write_text("{")
     work.mkdir()
