@@ -373,7 +373,8 @@ def tangent_of(slopes: Dataset, base: Dataset, space: Space) -> Tangent | None:
                 known.append(j)
                 places.append(place)
     found = slopes.jacobian[..., places]
-    some = ((slopes.status == 0) & np.isfinite(found).any(axis=(2, 3))).any(axis=1)
+    whole = np.isfinite(found).all(axis=2).any(axis=2)  # of all outputs, by some
+    some = ((slopes.status == 0) & whole).any(axis=1)
     some &= ~held_out(slopes)
     if not some.any():
         return None
