@@ -15,7 +15,7 @@ from datagen.device import CASES, LIMITS, Design
 from datagen.errors import InputError
 from datagen.response import OUTPUTS
 from datagen.units import BY_FIELD, QUANTITY
-from surrogate.learn import FEWEST_PATHS
+from surrogate.budget import FEWEST_PATHS
 
 from .bench import (
     DEFAULTS,

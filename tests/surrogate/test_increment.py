@@ -184,7 +184,7 @@ def test_effects_with_time_are_refused() -> None:
 
 
 def test_increment_is_paired(dataset: Dataset, tmp_path: Path) -> None:
-    found = increment(dataset, tmp_path / "soft.h5", "soft", 60, seed=1)
+    found = increment(dataset, tmp_path / "soft.h5", "soft", 120, seed=2)
     assert found.base == dataset.digest()
     again = Dataset.read(tmp_path / "soft.h5")
     assert again.digest() == found.digest()

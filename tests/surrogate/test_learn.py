@@ -26,10 +26,11 @@ from datagen.response import Path as LoadPath
 from datagen.worker import Row, Task
 from service.cli import main
 from surrogate import learn as learning
+from surrogate.budget import one_path
 from surrogate.corrected import Corrected
 from surrogate.ensemble import Ensemble
 from surrogate.increment import PairTask
-from surrogate.learn import INCREMENT, PLAN, _one_path, learn
+from surrogate.learn import INCREMENT, PLAN, learn
 from tests.datagen.fake_solver import Here
 from tests.discrepancy.versions import version
 from tests.surrogate.learn_process import PATHS, SEED, run
@@ -289,7 +290,7 @@ def test_time_budget(
 ) -> None:
     """One path is timed; the number that follows is kept for a resumed run."""
     timed = iter([8.0])
-    monkeypatch.setattr(learning, "_one_path", lambda *_: next(timed))
+    monkeypatch.setattr(learning, "one_path", lambda *_: next(timed))
     base = Ensemble.load(finished / "base")
     stopped = []
 
@@ -311,7 +312,7 @@ def test_time_budget(
     assert stopped[0] == ("increment", 0, 16)  # 0.6 x 300 s / (8 s x 1.39)
     model = learn(base, dataset, ("tilt",), {}, out, resume=True, **settings)  # type: ignore[arg-type]
     assert model.description["paths"] == 16
-    monkeypatch.setattr(learning, "_one_path", lambda *_: 60.0)
+    monkeypatch.setattr(learning, "one_path", lambda *_: 60.0)
     with pytest.raises(InputError, match=r"at least 37\.1: a path takes 83 s"):
         learn(base, dataset, ("tilt",), {}, tmp_path / "n", **settings)  # type: ignore[arg-type]
     assert not (tmp_path / "n.work").exists()  # those minutes can be asked for now
@@ -336,7 +337,7 @@ def test_a_path_is_timed_beside_others_once_the_workers_run() -> None:
         return Row(task.row, (), nothing, np.zeros((0, 0)), nothing, "completed", 0, "")
 
     with ThreadPoolExecutor(2) as executor:
-        seconds = _one_path(tasks, GivenExecutor(executor, 2), 2, solve)
+        seconds = one_path(tasks, GivenExecutor(executor, 2), 2, solve)
     assert seconds > 0.05 * 3 / 4.5  # for one of 3 balloons, the mean, of 3 and 6
     assert sorted(seen[:2]) == [(0, 1), (2, 1)]
     assert sorted(seen[2:]) == [(0, 2), (2, 2)]
