@@ -77,7 +77,8 @@ reference: $(INSTALLED) ## generate the reference dataset and train its model
 	$(BIN)/python -m surrogate.slopes $(REFERENCE)/dataset.h5 $(REFERENCE)/slopes.h5 \
 	    $(SLOPED) $(WORKERS)
 	mkdir -p surrogate/reference
-	cp $(REFERENCE)/*.h5 $(REFERENCE)/model/* surrogate/reference/
+	cp $(REFERENCE)/dataset.h5 $(REFERENCE)/slopes.h5 $(REFERENCE)/model/* \
+	    surrogate/reference/
 
 corrected: $(INSTALLED) ## learn surrogates with effects in them, write down how near they come (an hour)
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.corrected $(or $(MINUTES),10) $(ONLY)

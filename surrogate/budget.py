@@ -43,7 +43,7 @@ def one_path(
     """
 
     def size(task: PairTask) -> float:
-        # The time of 640 paths at random follows it (correlation of logarithms 0.93).
+        # Unknowns grow with balloons, and steps of the follower with load steps.
         x, y = (task.variables.index(f"divisions_{axis}") for axis in "xy")
         return task.inputs[x] * task.inputs[y] * max(len(task.before), 1)
 

@@ -20,6 +20,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -508,32 +509,17 @@ def solve_increment(
     Dataset
         With `base_row`, the row of the base that each path is paired with.
     """
-    from datagen.model import GENERATOR_VERSION
-
     level = mesh_of(base) if level is None else level
     tasks = increment_tasks(planned, base, level, effects_dir)
-    manifest = Manifest(
-        designs=len(planned),
-        seed=planned.seed,
-        effects=planned.effects,
-        level=level,
-        max_pressure=base.max_pressure,
-        generator_version=GENERATOR_VERSION if version is None else version,
-        design_space=tuple(space_to_json(planned.space)),
-        inputs_sha256=inputs_digest(planned.inputs),
-        sensitivities=len(planned),
-        base=base.digest(),
-    )
-    fixed = {
-        "inputs": planned.inputs,
-        "space": planned.space,
-        "base_row": planned.base_row,
-    }
-    return solve_all(
-        out,
-        manifest,
+    return solve_paired(
         tasks,
-        fixed,
+        base,
+        planned.space,
+        planned.inputs,
+        planned.base_row,
+        out,
+        seed=planned.seed,
+        version=version,
         workers=workers,
         scheduler=scheduler,
         resume=resume,
@@ -541,6 +527,55 @@ def solve_increment(
         executor=executor,
         solve=solve,
     )
+
+
+def solve_paired(
+    tasks: Sequence[PairTask],
+    base: Dataset,
+    space: Space,
+    inputs: Array,
+    base_row: Array,
+    out: str | Path,
+    *,
+    seed: int,
+    version: str | None = None,
+    **how: Any,
+) -> Dataset:
+    """Solve paths that are paired with rows of a base into one HDF5 file.
+
+    Parameters
+    ----------
+    tasks : sequence of n PairTask
+        All of the same effects and level.
+    base : Dataset
+    space : Space
+    inputs : (n, d) array, SI
+        In the order of `space`.
+    base_row : (n,) int array
+    out : path
+    seed : int
+        Of the inputs.
+    version : str, optional
+        Of what computes the paths; that of the finite elements by default.
+    how
+        As in `datagen.generate.solve_all`, and so are the errors.
+    """
+    from datagen.model import GENERATOR_VERSION
+
+    manifest = Manifest(
+        designs=len(tasks),
+        seed=seed,
+        effects=tasks[0].effects,
+        level=tasks[0].level,
+        max_pressure=base.max_pressure,
+        generator_version=GENERATOR_VERSION if version is None else version,
+        design_space=tuple(space_to_json(space)),
+        inputs_sha256=inputs_digest(inputs),
+        sensitivities=len(tasks),
+        base=base.digest(),
+    )
+    fixed = {"inputs": inputs, "space": space, "base_row": base_row}
+    return solve_all(out, manifest, tasks, fixed, **how)
 
 
 def _load_steps(base: Dataset, row: int) -> tuple[float, ...]:

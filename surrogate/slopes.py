@@ -19,17 +19,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datagen.dataset import Dataset, space_to_json
+from datagen.dataset import Dataset
 from datagen.device import DESIGN_SPACE, Design
 from datagen.errors import EffectError, FileError, InputError
-from datagen.generate import Progress, solve_all
-from datagen.parts import Manifest, inputs_digest
+from datagen.generate import Progress
 from datagen.space import Parameter, Space
 from datagen.worker import Row, Solve, Task
 
 from .ensemble import REFERENCE
 from .features import columns_of
-from .increment import COARSER, PairTask, ranked_rows, solved
+from .increment import COARSER, PairTask, ranked_rows, solve_paired, solved
 from .shift import far_end
 from .split import held_out
 
@@ -221,8 +220,6 @@ def solve_at_off(
     Dataset
         Effects at off, with `base_row` and derivatives.
     """
-    from datagen.model import GENERATOR_VERSION
-
     tuned = [p for p in space if "." in p.name]
     effects = tuple(sorted({p.name.split(".")[0] for p in tuned}))
     off = [0.0 if p.off is None else p.off for p in tuned]
@@ -241,23 +238,15 @@ def solve_at_off(
         )
         for i, row in enumerate(rows.tolist())
     ]
-    manifest = Manifest(
-        designs=len(rows),
-        seed=base.seed,
-        effects=effects,
-        level=level,
-        max_pressure=base.max_pressure,
-        generator_version=GENERATOR_VERSION if version is None else version,
-        design_space=tuple(space_to_json(space)),
-        inputs_sha256=inputs_digest(inputs),
-        sensitivities=len(rows),
-        base=base.digest(),
-    )
-    return solve_all(
-        out,
-        manifest,
+    return solve_paired(
         tasks,
-        {"inputs": inputs, "space": space, "base_row": rows},
+        base,
+        space,
+        inputs,
+        rows,
+        out,
+        seed=base.seed,
+        version=version,
         workers=workers,
         scheduler=scheduler,
         resume=resume,
