@@ -21,7 +21,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import gammaln, logsumexp
 
 from .noise import Covariance, Frame, Hyper, Readings
@@ -32,9 +31,16 @@ Array = np.ndarray
 SAMPLES, DEFENSIVE, TAIL = 2000, 0.15, 4.0
 """Importance samples, share drawn from the prior, degrees of freedom of the rest."""
 
-SETTLED = 1e-2
-"""Fall of -2 log density in a round of `Target.optimum`, below which it ends: a round
-takes away nine tenths or more of what is left."""
+SETTLED = 2e-4
+"""Fall of -2 log density in a step of `Target.optimum`, after which it ends: a step
+takes away half or more of what is left."""
+
+STEPS, FIRM, LOST, BENT = 60, 1e-4, 1e6, 0.1
+"""Its steps at most, their least damping, the damping at which it gives up, and the
+part of the prior's information that has to be left of an observed one."""
+
+REACH = 7.0
+"""Widths of their priors within which log amplitudes are sought."""
 
 ENOUGH, LIVE, CALLS = 60.0, 400, 40000
 """Effective samples below which nested sampling decides, its live points a dimension,
@@ -215,6 +221,10 @@ class Target:
         self.priors = hypothesis.priors
         self.lower = np.array([p.bounds[0] for p in self.priors])
         self.upper = np.array([p.bounds[1] for p in self.priors])
+        reach: Array | None = getattr(hypothesis, "reach", None)
+        if reach is not None:  # beyond it there is nothing to see
+            self.lower = np.maximum(self.lower, reach[:, 0])
+            self.upper = np.minimum(self.upper, reach[:, 1])
         self.pull = np.array([float(p.density == NORMAL) for p in self.priors])
 
     def look(self, t: Array) -> Seen:
@@ -247,98 +257,80 @@ class Target:
         best: Array = t[int(np.nanargmin(costs))]
         return best
 
-    def amplitudes(self, eta: Array, r: Array, columns: Array) -> Array:
-        """Best log amplitudes for a residual."""
-        hyper = self.hyper
-        if not hyper.names:
-            return eta
-
-        def cost(eta: Array) -> tuple[float, Array]:
-            covariance = self.covariance(eta, columns)
-            z = (eta - hyper.centre) / hyper.width
-            value = covariance.log_density(r) - 0.5 * float(z @ z)
-            return -value, -(covariance.slope(r) - z / hyper.width)
-
-        bounds = list(
-            zip(
-                hyper.centre - 7 * hyper.width,
-                hyper.centre + 7 * hyper.width,
-                strict=True,
-            )
-        )
-        found = minimize(
-            cost,
-            eta,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"ftol": 1e-8},
-        )
-        best: Array = found.x
-        return best
-
-    def coordinates(
-        self, t: Array, eta: Array, seen: Seen | None = None
-    ) -> tuple[Array, Seen]:
-        """Best coordinates at given amplitudes: damped Gauss-Newton within bounds.
-
-        From t, where `seen` is known already, to where the returned one is.
-        """
-        seen = seen or self.look(t)
-        if not len(t):
-            return t, seen
-        r, slopes, columns = seen
-        covariance = self.covariance(eta, columns)
-        damping = 1e-3
-
-        def cost(r: Array, t: Array) -> float:
-            return 0.5 * float(r @ covariance.solve(r) + self.pull @ t**2)
-
-        now = cost(r, t)
-        for _ in range(30):
-            gradient = slopes.T @ covariance.solve(r) + self.pull * t
-            normal = slopes.T @ covariance.solve(slopes) + np.diag(self.pull)
-            pushed = ((t <= self.lower) & (gradient > 0)) | (
-                (t >= self.upper) & (gradient < 0)
-            )
-            free = np.flatnonzero(~pushed)
-            if not len(free):
-                break
-            part = normal[np.ix_(free, free)]
-            part = part + damping * np.diag(np.diag(part) + 1e-12)
-            step = np.zeros_like(t)
-            step[free] = -np.linalg.solve(part, gradient[free])
-            ahead = np.clip(t + step, self.lower, self.upper)
-            there = self.look(ahead)
-            then = cost(there.residual, ahead)
-            if then <= now:
-                gain = now - then
-                t, seen, now = ahead, there, then
-                r, slopes, _ = seen
-                damping = max(damping / 5, 1e-9)
-                if gain < 1e-6:
-                    break
-            else:
-                damping *= 8
-                if damping > 1e8:
-                    break
-        return t, seen
-
     def optimum(
         self, t: Array, eta: Array, fixed: bool = False
     ) -> tuple[Array, Array, float]:
-        """Best coordinates and amplitudes from a start, and -2 log density there."""
-        best, seen = math.inf, self.look(t)
-        for _ in range(12):
-            if not fixed:
-                eta = self.amplitudes(eta, seen.residual, seen.columns)
-            t, seen = self.coordinates(t, eta, seen)
-            value = self.covariance(eta, seen.columns).log_density(seen.residual)
-            cost = -2 * value - 2 * self.hyper.log_prior(eta) + float(self.pull @ t**2)
-            if not len(t) or best - cost < SETTLED:
+        """Best coordinates and log amplitudes from a start, within their bounds.
+
+        Damped Newton steps of both at once, coordinates as Gauss and Newton take them;
+        where the observed information of the amplitudes is not positive, with the
+        average one, and without that between amplitudes and coordinates.
+
+        Parameters
+        ----------
+        t, eta : (k,), (h,) arrays
+            To start from.
+        fixed : bool
+            Whether the amplitudes are kept.
+
+        Returns
+        -------
+        t, eta, and -2 log density there.
+        """
+        k, hyper = len(t), self.hyper
+        margin = REACH * hyper.width
+        lower = np.concatenate([self.lower, hyper.centre - margin])
+        upper = np.concatenate([self.upper, hyper.centre + margin])
+        pull = np.concatenate([self.pull, hyper.width**-2])
+        middle = np.concatenate([np.zeros(k), hyper.centre])
+        count = k if fixed else k + len(eta)
+
+        def cost(covariance: Covariance, r: Array, x: Array) -> float:
+            return float(-2 * covariance.log_density(r) + pull @ (x - middle) ** 2)
+
+        x, seen = np.concatenate([t, eta]), self.look(t)
+        covariance = self.covariance(eta, seen.columns)
+        now = cost(covariance, seen.residual, x)
+        taken, damping = True, FIRM
+        for _ in range(STEPS if count else 0):
+            if taken:
+                gradient, normal = self._newton(covariance, seen)
+                gradient += pull * (x - middle)
+                normal = normal[:count, :count]
+            matrix = normal + damping * np.diag(np.diag(normal))
+            ahead = _newton_step(x, gradient, matrix, lower, upper)
+            there = self.look(ahead[:k]) if k else seen
+            trial = self.covariance(ahead[k:], there.columns)
+            then = cost(trial, there.residual, ahead)
+            taken = then <= now
+            if taken:
+                gain, damping = now - then, max(damping / 5, FIRM)
+                x, seen, covariance, now = ahead, there, trial, then
+            else:
+                gain, damping = float((x - ahead) @ gradient), 8 * damping
+            if gain < SETTLED or damping > LOST:
                 break
-            best = cost
-        return t, eta, min(best, cost)
+        return x[:k], x[k:], now - 2 * hyper.log_prior(hyper.centre)
+
+    def _newton(self, covariance: Covariance, seen: Seen) -> tuple[Array, Array]:
+        """Gradient (k + h,) of half the misfit, priors aside, and a positive matrix.
+
+        The matrix has the priors' curvature in it.
+        """
+        r, slopes, _ = seen
+        k, about = slopes.shape[1], covariance.information(r)
+        gradient = np.concatenate([slopes.T @ covariance.solve(r), -about.slope])
+        matrix = np.diag(np.concatenate([self.pull, self.hyper.width**-2]))
+        # Where the readings say nothing of a direction, its range does.
+        matrix[:k, :k] += np.diag((self.upper - self.lower) ** -2.0)
+        matrix[:k, :k] += slopes.T @ covariance.solve(slopes)
+        safe, least = matrix.copy(), BENT * np.diag(matrix)
+        safe[k:, k:] += about.average
+        matrix[k:, k:] += about.observed
+        matrix[:k, k:] = -slopes.T @ covariance.solve(about.pulled.T)
+        matrix[k:, :k] = matrix[:k, k:].T
+        positive = np.linalg.eigvalsh(matrix - np.diag(least))[0] > 0
+        return gradient, matrix if positive else safe
 
     def curvature(self, eta: Array, r: Array, columns: Array) -> float:
         """Log of the integral of exp over the amplitudes around their best values."""
@@ -346,19 +338,38 @@ class Target:
         h = len(hyper.names)
         if not h:
             return 0.0
-        matrix, step = np.empty((h, h)), 1e-3
-        for i in range(h):
-            ahead, behind = eta.copy(), eta.copy()
-            ahead[i] += step
-            behind[i] -= step
-            matrix[i] = (
-                self.covariance(behind, columns).slope(r)
-                - self.covariance(ahead, columns).slope(r)
-            ) / (2 * step)
-        matrix = (matrix + matrix.T) / 2 + np.diag(1 / hyper.width**2)
+        matrix = self.covariance(eta, columns).information(r).observed
+        matrix = matrix + np.diag(1 / hyper.width**2)
         values = np.maximum(np.linalg.eigvalsh(matrix), 1e-3 / hyper.width.max() ** 2)
         volume = 0.5 * h * math.log(2 * math.pi) - 0.5 * float(np.log(values).sum())
         return hyper.log_prior(eta) + volume
+
+
+def _newton_step(
+    x: Array, gradient: Array, matrix: Array, lower: Array, upper: Array
+) -> Array:
+    """Where a Newton step ends that follows the bounds it meets.
+
+    Parameters
+    ----------
+    x, gradient, lower, upper : (n,) arrays
+    matrix : (m, m) array
+        Positive; of the first m numbers, the others stay.
+    """
+    m, step = len(matrix), np.zeros(len(x))
+    out = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+    free = ~out[:m]
+    while free.any():
+        f = np.flatnonzero(free)
+        pull = gradient[f] + matrix[f] @ (step[:m] * ~free)
+        step[f] = -np.linalg.solve(matrix[np.ix_(f, f)], pull)
+        ahead = np.clip(x + step, lower, upper)
+        met = f[ahead[f] != (x + step)[f]]
+        if not len(met):
+            break
+        step[met] = (ahead - x)[met]
+        free[met] = False
+    return np.clip(x + step, lower, upper)
 
 
 def fit(

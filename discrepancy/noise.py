@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -252,6 +253,23 @@ class Frame:
         return Hyper(tuple(names), np.array(centre), np.array(width))
 
 
+class Information(NamedTuple):
+    """Derivatives of a log density by h log amplitudes.
+
+    slope : (h,) array; first ones.
+    average : (h, h) array; mean of the observed and the expected information of the
+        amplitudes' squares, never negative (Gilmour, Thompson and Cullis 1995).
+    observed : (h, h) array; second ones, with the sign turned.
+    pulled : (h, n) array; derivatives of the covariance times what its inverse makes of
+        the residual.
+    """
+
+    slope: Array
+    average: Array
+    observed: Array
+    pulled: Array
+
+
 class Covariance:
     """Covariance of turned readings at given amplitudes.
 
@@ -333,22 +351,34 @@ class Covariance:
         form = float(self.quadratic(r[:, None])[0])
         return -0.5 * (form + self.log_determinant + len(r) * math.log(2 * math.pi))
 
-    def slope(self, r: Array) -> Array:
-        """Derivatives (h,) of `log_density` by the log amplitudes."""
-        alpha = self.solve(r)
-        inverse = 1 / self.diagonal - (self._half**2).sum(axis=0)
-        by_diagonal = 0.5 * (alpha**2 - inverse)
-        middle = (self._inverse**2).sum(axis=0)  # diagonal of the inverse
-        by_column = (self.columns.T @ alpha) ** 2 - (1 - middle)
-        groups, members = self._frame.groups, self._frame.members
-        own = self._owner == np.array(groups)[:, None]
-        by_group = {
-            "noise": 2 * members @ (self._noise2 * by_diagonal * self._open),
-            "smooth": 2 * members @ (self._smooth2 * by_diagonal),
-            "common": own @ by_column,
-        }
-        found = []
-        for name in self._hyper.names:
+    def information(self, r: Array) -> Information:
+        """How the log density of turned residuals (n,) changes with the amplitudes."""
+        names, k = self._hyper.names, self.columns.shape[1]
+        pulls = np.zeros((len(names), len(r)))  # (h, n) of the diagonal
+        owns = np.zeros((len(names), k))  # (h, k) whose columns are the amplitude's
+        for i, name in enumerate(names):
             kind, g = name.split()
-            found.append(float(by_group[kind][groups.index(int(g))]))
-        return np.array(found)
+            if kind == "common":
+                owns[i] = self._owner == int(g)
+            else:
+                part = self._noise2 * self._open if kind == "noise" else self._smooth2
+                pulls[i] = 2 * part * (self._frame.group == int(g))
+        # dC = diag(pull) + 2 K K^T, K the columns of the amplitude.
+        weight, taken = 1 / self.diagonal, (self._half**2).sum(axis=0)
+        alpha = self.solve(r)
+        felt = self.columns.T @ alpha
+        between = np.eye(k) - self._inverse.T @ self._inverse  # U^T C^-1 U
+        slope = 0.5 * pulls @ (alpha**2 - weight + taken)
+        slope += owns @ (felt**2 - between.diagonal())
+        inner = self._half * pulls[:, None, :] @ self._half.T
+        inner = inner.reshape(len(names), k * k)
+        far = (pulls @ self.solve(self.columns) ** 2) @ owns.T
+        expected = 0.5 * (
+            (pulls * (weight**2 - 2 * weight * taken)) @ pulls.T + inner @ inner.T
+        )
+        expected += far + far.T + 2 * owns @ between**2 @ owns.T
+        pulled = pulls * alpha + 2 * (owns * felt) @ self.columns.T
+        average = 0.5 * pulled @ self.solve(pulled.T)
+        # A square's logarithm bends with its slope.
+        observed = 2 * average - expected - 2 * np.diag(slope)
+        return Information(slope, average, observed, pulled)

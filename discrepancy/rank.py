@@ -19,6 +19,7 @@ import numpy as np
 from .evidence import Fit, Hypothesis, fit
 from .hypotheses import Present
 from .judging import Ranking, effects_of, judge
+from .noise import Frame
 from .study import Study
 from .weighing import HOPELESS, sound, weigh
 
@@ -277,7 +278,7 @@ class Search:
             for a, b in itertools.product(singles[:PARTNERS], known)
             if a.hypothesis.name != b
         }
-        tried = []
+        tried, frame = [], Frame(study.readings)
         for names in sorted(chosen):
             present = study.present(names)
             if present is None:
@@ -286,6 +287,7 @@ class Search:
             quick = fit(
                 study.readings,
                 present,
+                frame=frame,
                 starts=[self._joined(present, known)],
                 eta=better.eta,
                 evidence=False,

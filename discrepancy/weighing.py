@@ -47,7 +47,8 @@ def nearest(
     best, cost = off, math.inf
     for start in (off, *starts):
         start = np.clip(start, target.lower, target.upper)
-        t, (r, _, columns) = target.coordinates(start, eta)
+        t = target.optimum(start, eta, fixed=True)[0]
+        r, _, columns = target.look(t)
         covariance = target.covariance(eta, columns)
         value = float(covariance.quadratic(r[:, None])[0] + target.pull @ t**2)
         if value < cost:

@@ -129,22 +129,35 @@ def test_calibrations_are_integrated_out() -> None:
         + n * math.log(2 * math.pi)
     )
     assert cov.log_density(r) + frame.log_volume == pytest.approx(exact, abs=1e-8)
-    slope = cov.slope(r)
+    about = cov.information(r)
+    alpha = np.linalg.solve(dense, y)
     for i in range(len(eta)):
         step = np.zeros(len(eta))
         step[i] = 1e-6
 
-        def density(e: Array) -> float:
+        def at(e: Array) -> Covariance:
             return Covariance(
                 frame,
                 hyper,
                 e,
                 frame.turn @ columns,
                 tuple(frame.turn @ s for s in shapes),
-            ).log_density(r)
+            )
 
-        number = (density(eta + step) - density(eta - step)) / 2e-6
-        assert slope[i] == pytest.approx(number, abs=1e-5)
+        ahead, behind = at(eta + step), at(eta - step)
+        number = (ahead.log_density(r) - behind.log_density(r)) / 2e-6
+        assert about.slope[i] == pytest.approx(number, abs=1e-5)
+        bend = (behind.information(r).slope - ahead.information(r).slope) / 2e-6
+        assert about.observed[i] == pytest.approx(bend, abs=1e-5)
+        assert ahead.solve(about.pulled[i]) == pytest.approx(
+            (behind.solve(r) - ahead.solve(r)) / 2e-6, abs=1e-5
+        )
+    # The mean of observed and expected needs neither traces nor second derivatives.
+    assert about.average == pytest.approx(
+        0.5 * about.pulled @ cov.solve(about.pulled.T), abs=1e-9
+    )
+    assert np.linalg.eigvalsh(about.average)[0] > -1e-9
+    assert alpha == pytest.approx(frame.turn.T @ cov.solve(r), abs=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(5))
