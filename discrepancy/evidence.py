@@ -416,14 +416,16 @@ def fit(
     keep = np.ones(len(readings.value), dtype=bool) if keep is None else keep
     frame = frame or Frame(readings.subset(keep))
     target = Target(frame, keep, hypothesis)
-    begin = target.hyper.centre if eta is None else eta
+    begins = [target.hyper.centre if eta is None else eta]
+    if eta is None and any(name.startswith("noise") for name in target.hyper.names):
+        begins.append(target.hyper.raised())
     off = np.array([prior.off for prior in hypothesis.priors])
     nodes = getattr(hypothesis, "nodes", None)
     if nodes is not None:  # the best of those that were solved, too
-        starts = [*starts, target.best_of(nodes, begin)]
+        starts = [*starts, target.best_of(nodes, begins[0])]
     inside = (np.clip(t, target.lower, target.upper) for t in (off, *starts))
     once = {tuple(t): t for t in inside}  # the best of the solved ones may be off
-    found = [target.optimum(t, begin, fixed) for t in once.values()]
+    found = [target.optimum(t, begin, fixed) for t in once.values() for begin in begins]
     t, eta, misfit = min(found, key=lambda one: one[2])
     for _ in range(3):
         best = _conclude(target, readings, keep, hypothesis, t, eta, misfit)

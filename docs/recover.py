@@ -2,19 +2,20 @@
 
 Run by ``make recovery [SEEDS=20] [ONLY="soft strips"]``: the devices of the labs in
 `tests.recovery.trial` are solved with every effect (kept: an interrupted run goes on),
-then readings are made and ranked.  Each trial is one line of docs/recovery.jsonl, which
+then readings are made and ranked.  Each trial is one line of docs/recovery.csv, which
 is kept with the project: it takes hours to fill.  docs/recovery.md is written from it.
 """
 
 from __future__ import annotations
 
+import csv
 import itertools
-import json
+import os
 import sys
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from tests.recovery.trial import (
 
 HERE = Path(__file__).parent
 PAGE = HERE / "recovery.md"
-TRIALS = HERE / "recovery.jsonl"
+TRIALS = HERE / "recovery.csv"
 
 RULES = 1
 """Of making trials and ranking them.  A change that moves answers counts it up, and
@@ -78,10 +79,6 @@ class Trial:
     devices: int
     noise: float
     seed: int
-
-    @property
-    def key(self) -> str:
-        return json.dumps(asdict(self))
 
 
 Labs = dict[tuple[str, int], Lab]
@@ -247,15 +244,17 @@ def main(
         labs = _labs(solver, kinds)
     print()
     rows = known()
-    done = {json.dumps(row["trial"]) for row in rows}
-    missing = [t for t in trials(labs, int(seeds)) if t.key not in done]
+    keep(rows)
+    done = {Trial(**row["trial"]) for row in rows}
+    missing = [t for t in trials(labs, int(seeds)) if t not in done]
     print(f"{len(rows)} trials are kept, {len(missing)} to do")
     with ProcessPoolExecutor(int(workers)) as pool, open(TRIALS, "a") as file:
+        table = csv.writer(file, lineterminator="\n")
         futures = [pool.submit(_work, trial, cache or None) for trial in missing]
         for i, future in enumerate(as_completed(futures)):
             row = future.result()
             rows.append(row)
-            file.write(json.dumps(row) + "\n")
+            table.writerow(cells_of(row))
             file.flush()
             if i % 50 == 49:
                 print(f"{i + 1}/{len(missing)}", flush=True)
@@ -263,19 +262,68 @@ def main(
     PAGE.write_text(page(rows))
 
 
+ADOPTION = ("effect", "before", "after", "floor")
+"""See `fall`."""
+
+COLUMNS = (
+    "rules",
+    *(field.name for field in fields(Trial)),
+    *("verdict", "effects", "moved", "inside", "asked"),
+    *ADOPTION,
+    "seconds",
+)
+"""Of docs/recovery.csv."""
+
+
+def cells_of(row: dict[str, Any]) -> list[str]:
+    """A trial and its answer as a line of the table; lists by spaces, nothing empty."""
+    flat = {**row, **row["trial"], **(row["adopted"] or {})}
+    flat["planted"] = " ".join(flat["planted"])
+    flat["effects"] = " ".join(flat["effects"])
+    flat["inside"] = " ".join(str(int(x)) for x in flat["inside"] or ())
+    return [str(flat.get(name, "")) for name in COLUMNS]
+
+
+def row_of(cells: dict[str, str]) -> dict[str, Any]:
+    """The other way round."""
+    trial = {
+        "lab": cells["lab"],
+        "kind": cells["kind"],
+        "planted": tuple(cells["planted"].split()),
+        "size": float(cells["size"]),
+        "devices": int(cells["devices"]),
+        "noise": float(cells["noise"]),
+        "seed": int(cells["seed"]),
+    }
+    adopted = {name: float(cells[name]) for name in ADOPTION if cells[name]}
+    return {
+        "rules": int(cells["rules"]),
+        "trial": trial,
+        "verdict": cells["verdict"],
+        "effects": cells["effects"].split(),
+        "moved": float(cells["moved"]),
+        "inside": [x == "1" for x in cells["inside"].split()] or None,
+        "asked": int(cells["asked"]),
+        "adopted": adopted or None,
+        "seconds": float(cells["seconds"]),
+    }
+
+
 def known() -> list[dict[str, Any]]:
     """Trials of today's rules that are kept; a killed run may cut the last line."""
-    rows = []
-    for line in TRIALS.read_text().splitlines() if TRIALS.exists() else []:
-        try:
-            row = json.loads(line)
-        except ValueError:
-            continue
-        if row["rules"] != RULES:
-            continue
-        row["trial"]["planted"] = tuple(row["trial"]["planted"])
-        rows.append(row)
-    return rows
+    text = TRIALS.read_text() if TRIALS.exists() else ""
+    lines = text[: text.rfind("\n") + 1].splitlines()
+    found = (row_of(cells) for cells in csv.DictReader(lines))
+    return [row for row in found if row["rules"] == RULES]
+
+
+def keep(rows: list[dict[str, Any]]) -> None:
+    """Write the table anew."""
+    whole = TRIALS.with_suffix(".part")
+    with open(whole, "w") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerows([COLUMNS, *map(cells_of, rows)])
+    os.replace(whole, TRIALS)
 
 
 def share(rows: list[dict[str, Any]]) -> str:

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from datagen.space import Parameter
-from discrepancy.evidence import fit
+from discrepancy.evidence import Target, fit
 from discrepancy.noise import Covariance, Frame, Readings
 from discrepancy.prior import Prior
 from tests.discrepancy.formula import Formula
@@ -158,6 +159,58 @@ def test_calibrations_are_integrated_out() -> None:
     )
     assert np.linalg.eigvalsh(about.average)[0] > -1e-9
     assert alpha == pytest.approx(frame.turn.T @ cov.solve(r), abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_best_fit_is_the_lowest_misfit_within_its_bounds(seed: int) -> None:
+    """Against a general minimiser from many starts.
+
+    Best sizes lie inside or at an end, and what is left passes for either error.
+    """
+    rng = np.random.default_rng(seed)
+    place = np.tile(np.linspace(0.1, 1, 8), 4)
+    shape = place * (1 + 0.3 * rng.normal(size=(3, 32)))
+    a, b = rng.uniform(-0.5, 1.5, 2)  # often beyond 0 to 1
+    value = a * shape[0] + a * b * shape[1] ** 2 + 0.02 * rng.normal(size=32)
+    readings = Readings(
+        value=value,
+        group=np.repeat([0, 1], 16),
+        curve=np.repeat([0, 1, 2, 3], 8),
+        place=place,
+        noise=np.full(32, 0.03),
+        stated=np.repeat([True, False], 16),
+        device=np.tile(np.repeat([0, 1], 8), 2),
+        scale=np.repeat([np.abs(c).max() for c in value.reshape(4, 8)], 8),
+    )
+    effect = Formula(
+        "effect",
+        (prior("size", 0.0, 1.0), prior("way", 0.0, 1.0)),
+        lambda a, b: a * shape[0] + a * b * shape[1] ** 2,
+        0.05 * shape[2][:, None],
+    )
+    target = Target(Frame(readings), np.ones(32, dtype=bool), effect)
+    found = fit(readings, effect, starts=[np.array([0.1, 0.5])], evidence=False)
+
+    def cost(x: Array) -> float:
+        seen = target.look(x[:2])
+        density = target.covariance(x[2:], seen.columns).log_density(seen.residual)
+        return float(-2 * density - 2 * target.hyper.log_prior(x[2:]))
+
+    centre = target.hyper.centre
+    bounds = [(0.0, 1.0)] * 2 + [(c - 5, c + 5) for c in centre]
+    judged = [
+        minimize(
+            cost,
+            np.concatenate([rng.uniform(0, 1, 2), centre + rng.uniform(-1, 3, 3)]),
+            bounds=bounds,
+            method="L-BFGS-B",
+        ).fun
+        for _ in range(6)
+    ]
+    best = np.concatenate([found.t, found.eta])
+    assert found.misfit == pytest.approx(cost(best), abs=1e-9)
+    assert found.misfit <= min(judged) + 5e-3
+    assert ((found.t >= 0) & (found.t <= 1)).all()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from discrepancy.solves import Solver
+from docs import recover
 from tests.recovery.trial import Lab, rank, readings_of, size_for, unnamed_changes
 
 EFFECTS = ("bond_edge", "cure_mismatch", "self_weight")
@@ -64,3 +65,22 @@ def test_kept_solves_are_not_solved_again(lab: Lab, tmp_path: Path) -> None:
     before = lab.solver.solved
     lab.solve()
     assert lab.solver.solved == before
+
+
+def test_the_document_says_what_the_kept_trials_do() -> None:
+    assert recover.PAGE.read_text() == recover.page(recover.known())
+
+
+def test_a_table_that_a_kill_cut_loses_its_last_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = recover.known()[:5]
+    monkeypatch.setattr(recover, "TRIALS", tmp_path / "trials.csv")
+    assert recover.known() == []
+    recover.keep(rows)
+    assert recover.known() == rows
+    whole = recover.TRIALS.read_text()
+    recover.TRIALS.write_text(whole[:-4])
+    assert recover.known() == rows[:4]
+    recover.TRIALS.write_text(whole.replace("\n1,", "\n0,", 1))  # of other rules
+    assert recover.known() == rows[1:]
