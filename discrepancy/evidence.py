@@ -32,12 +32,11 @@ SAMPLES, DEFENSIVE, TAIL = 2000, 0.15, 4.0
 """Importance samples, share drawn from the prior, degrees of freedom of the rest."""
 
 SETTLED = 2e-4
-"""Fall of -2 log density in a step of `Target.optimum`, after which it ends: a step
-takes away half or more of what is left."""
+"""Fall of -2 log density in a step of `Target.optimum`, after which it ends."""
 
 STEPS, FIRM, LOST, BENT = 60, 1e-4, 1e6, 0.1
 """Its steps at most, their least damping, the damping at which it gives up, and the
-part of the prior's information that has to be left of an observed one."""
+part of the prior's information by which an observed one has to be positive."""
 
 REACH = 7.0
 """Widths of their priors within which log amplitudes are sought."""
@@ -95,6 +94,10 @@ class Hypothesis(Protocol):
 
     def many(self, t: Array) -> Array:
         """(m, n) values at coordinates (m, k)."""
+        ...
+
+    def bends(self, t: Array) -> Array:
+        """(k, n, r) derivatives of the columns by the coordinates, at (k,) of them."""
         ...
 
 
@@ -294,7 +297,7 @@ class Target:
         taken, damping = True, FIRM
         for _ in range(STEPS if count else 0):
             if taken:
-                gradient, normal = self._newton(covariance, seen)
+                gradient, normal = self._newton(covariance, seen, x[:k])
                 gradient += pull * (x - middle)
                 normal = normal[:count, :count]
             matrix = normal + damping * np.diag(np.diag(normal))
@@ -307,24 +310,35 @@ class Target:
                 gain, damping = now - then, max(damping / 5, FIRM)
                 x, seen, covariance, now = ahead, there, trial, then
             else:
-                gain, damping = float((x - ahead) @ gradient), 8 * damping
+                # What it promised; bounds that were met may have turned it uphill.
+                gain = float(np.abs((x - ahead) * gradient).sum())
+                damping *= 8
             if gain < SETTLED or damping > LOST:
                 break
         return x[:k], x[k:], now - 2 * hyper.log_prior(hyper.centre)
 
-    def _newton(self, covariance: Covariance, seen: Seen) -> tuple[Array, Array]:
+    def _newton(
+        self, covariance: Covariance, seen: Seen, t: Array
+    ) -> tuple[Array, Array]:
         """Gradient (k + h,) of half the misfit, priors aside, and a positive matrix.
 
         The matrix has the priors' curvature in it.
         """
-        r, slopes, _ = seen
+        r, slopes, columns = seen
         k, about = slopes.shape[1], covariance.information(r)
-        gradient = np.concatenate([slopes.T @ covariance.solve(r), -about.slope])
-        matrix = np.diag(np.concatenate([self.pull, self.hyper.width**-2]))
+        size = np.zeros(k)  # derivatives of half the log determinant
+        if k and columns.shape[1]:
+            bends = self.frame.turn @ self.hypothesis.bends(t)[:, self._keep]
+            found = covariance.coefficients(r)[: columns.shape[1]]
+            slopes = slopes - (bends @ found).T
+            size = (covariance.solve(columns) * bends).sum(axis=(1, 2))
+        gradient = np.concatenate([slopes.T @ covariance.solve(r) + size, -about.slope])
         # Where the readings say nothing of a direction, its range does.
-        matrix[:k, :k] += np.diag((self.upper - self.lower) ** -2.0)
+        range_ = np.maximum(self.upper - self.lower, 1e-9)
+        prior = np.concatenate([self.pull + range_**-2, self.hyper.width**-2])
+        matrix, least = np.diag(prior), BENT * prior
         matrix[:k, :k] += slopes.T @ covariance.solve(slopes)
-        safe, least = matrix.copy(), BENT * np.diag(matrix)
+        safe = matrix.copy()
         safe[k:, k:] += about.average
         matrix[k:, k:] += about.observed
         matrix[:k, k:] = -slopes.T @ covariance.solve(about.pulled.T)
@@ -356,20 +370,20 @@ def _newton_step(
     matrix : (m, m) array
         Positive; of the first m numbers, the others stay.
     """
-    m, step = len(matrix), np.zeros(len(x))
+    m, step, ahead = len(matrix), np.zeros(len(x)), x.copy()
     out = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
     free = ~out[:m]
     while free.any():
         f = np.flatnonzero(free)
         pull = gradient[f] + matrix[f] @ (step[:m] * ~free)
         step[f] = -np.linalg.solve(matrix[np.ix_(f, f)], pull)
-        ahead = np.clip(x + step, lower, upper)
+        ahead[:m] = np.clip((x + step)[:m], lower[:m], upper[:m])
         met = f[ahead[f] != (x + step)[f]]
         if not len(met):
             break
         step[met] = (ahead - x)[met]
         free[met] = False
-    return np.clip(x + step, lower, upper)
+    return ahead
 
 
 def fit(
@@ -397,9 +411,10 @@ def fit(
     frame : Frame, optional
         Of the kept readings, where it is at hand.
     starts : sequence of (k,) arrays
-        Coordinates to start from, besides off.
+        Coordinates to start from, besides off and the best ones that were solved.
     eta : (h,) array, optional
-        Log amplitudes to start from.
+        Log amplitudes to start from; the centres of their priors otherwise, and where
+        both kinds of errors are inferred smooth ones above it, too.
     fixed : bool
         Whether those amplitudes are kept.
     evidence : bool
@@ -417,16 +432,17 @@ def fit(
     frame = frame or Frame(readings.subset(keep))
     target = Target(frame, keep, hypothesis)
     begins = [target.hyper.centre if eta is None else eta]
-    if eta is None and any(name.startswith("noise") for name in target.hyper.names):
+    kinds = {name.split()[0] for name in target.hyper.names}
+    if eta is None and not fixed and kinds >= {"noise", "smooth"}:
         begins.append(target.hyper.raised())
     off = np.array([prior.off for prior in hypothesis.priors])
     nodes = getattr(hypothesis, "nodes", None)
-    if nodes is not None:  # the best of those that were solved, too
-        starts = [*starts, target.best_of(nodes, begins[0])]
+    if nodes is not None and len(nodes) > 1:  # the best that was solved, off aside
+        starts = [*starts, target.best_of(nodes[1:], begins[0])]
     inside = (np.clip(t, target.lower, target.upper) for t in (off, *starts))
     once = {tuple(t): t for t in inside}  # the best of the solved ones may be off
     found = [target.optimum(t, begin, fixed) for t in once.values() for begin in begins]
-    t, eta, misfit = min(found, key=lambda one: one[2])
+    t, eta, misfit = min(found, key=lambda one: np.nan_to_num(one[2], nan=math.inf))
     for _ in range(3):
         best = _conclude(target, readings, keep, hypothesis, t, eta, misfit)
         if not evidence:
@@ -435,7 +451,7 @@ def fit(
         if top is None:
             break
         # A sample better than the best fit: there is another optimum.
-        again = target.optimum(top, eta)
+        again = target.optimum(top, eta, fixed)
         if again[2] > misfit - 1e-2:
             break
         t, eta, misfit = again

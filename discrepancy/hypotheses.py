@@ -29,6 +29,9 @@ class Null:
     def predict(self, t: Array) -> Prediction:
         return self.prediction
 
+    def bends(self, t: Array) -> Array:
+        return np.zeros((0, *self.prediction.columns.shape))
+
     def many(self, t: Array) -> Array:
         return np.repeat(self.prediction.values[None, :], len(t), axis=0)
 
@@ -75,6 +78,15 @@ class Present:
         values[self._lost(t)] = np.nan
         fields = self.fields.many(t[None, :])[0].reshape(-1, len(FIELDS))
         return Prediction(values, slopes, self.calibrations.columns(values, fields))
+
+    def bends(self, t: Array) -> Array:
+        slopes = self.curves.at(t)[1]
+        fields = self.fields.at(t)[1].reshape(len(slopes), len(FIELDS), len(t))
+        bends = [
+            self.calibrations.columns(slopes[:, i], fields[:, :, i])
+            for i in range(len(t))
+        ]
+        return np.stack(bends)
 
     def many(self, t: Array) -> Array:
         values: Array = self.curves.many(t) + self.shift

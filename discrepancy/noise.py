@@ -332,7 +332,11 @@ class Covariance:
         factor, failed = lapack.dpotrf(middle, lower=1)
         if failed:
             raise np.linalg.LinAlgError(f"leading minor {failed} is not positive")
-        self._inverse, _ = lapack.dtrtri(factor, lower=1)  # of the factor
+        if len(factor):
+            factor_inverse, _ = lapack.dtrtri(factor, lower=1)
+        else:  # which LAPACK complains of
+            factor_inverse = factor
+        self._inverse = factor_inverse
         self._half = self._inverse @ self._weighted.T
         self.log_determinant = float(
             np.log(self.diagonal).sum() + 2 * np.log(factor.diagonal()).sum()

@@ -47,10 +47,7 @@ def nearest(
     best, cost = off, math.inf
     for start in (off, *starts):
         start = np.clip(start, target.lower, target.upper)
-        t = target.optimum(start, eta, fixed=True)[0]
-        r, _, columns = target.look(t)
-        covariance = target.covariance(eta, columns)
-        value = float(covariance.quadratic(r[:, None])[0] + target.pull @ t**2)
+        t, _, value = target.optimum(start, eta, fixed=True)
         if value < cost:
             best, cost = t, value
     r, _, columns = target.look(best)

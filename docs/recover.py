@@ -9,6 +9,7 @@ is kept with the project: it takes hours to fill.  docs/recovery.md is written f
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import os
 import sys
@@ -42,7 +43,7 @@ HERE = Path(__file__).parent
 PAGE = HERE / "recovery.md"
 TRIALS = HERE / "recovery.csv"
 
-RULES = 1
+RULES = 2
 """Of making trials and ranking them.  A change that moves answers counts it up, and
 trials of other rules are no longer read."""
 
@@ -240,26 +241,26 @@ def main(
     def show(state: Progress) -> None:
         print(f"\r{state.what} {state.done}/{state.total}", end="", flush=True)
 
+    keep(known())
+    PAGE.write_text(page(known()))
     with Solver(int(workers), Path(cache) if cache else None, show) as solver:
         labs = _labs(solver, kinds)
     print()
     rows = known()
-    keep(rows)
     done = {Trial(**row["trial"]) for row in rows}
     missing = [t for t in trials(labs, int(seeds)) if t not in done]
     print(f"{len(rows)} trials are kept, {len(missing)} to do")
-    with ProcessPoolExecutor(int(workers)) as pool, open(TRIALS, "a") as file:
-        table = csv.writer(file, lineterminator="\n")
+    with ProcessPoolExecutor(int(workers)) as pool:
         futures = [pool.submit(_work, trial, cache or None) for trial in missing]
         for i, future in enumerate(as_completed(futures)):
-            row = future.result()
-            rows.append(row)
-            table.writerow(cells_of(row))
-            file.flush()
+            with open(TRIALS, "a") as file:  # anew, as others may write it, too
+                csv.writer(file, lineterminator="\n").writerow(
+                    cells_of(future.result())
+                )
             if i % 50 == 49:
                 print(f"{i + 1}/{len(missing)}", flush=True)
-                PAGE.write_text(page(rows))
-    PAGE.write_text(page(rows))
+                PAGE.write_text(page(known()))
+    PAGE.write_text(page(known()))
 
 
 ADOPTION = ("effect", "before", "after", "floor")
@@ -313,16 +314,19 @@ def known() -> list[dict[str, Any]]:
     """Trials of today's rules that are kept; a killed run may cut the last line."""
     text = TRIALS.read_text() if TRIALS.exists() else ""
     lines = text[: text.rfind("\n") + 1].splitlines()
-    found = (row_of(cells) for cells in csv.DictReader(lines))
-    return [row for row in found if row["rules"] == RULES]
+    table = csv.DictReader(lines)
+    return [row_of(cells) for cells in table if cells["rules"] == str(RULES)]
 
 
 def keep(rows: list[dict[str, Any]]) -> None:
-    """Write the table anew."""
+    """Write the table anew, where it holds anything else."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerows([COLUMNS, *map(cells_of, rows)])
+    if TRIALS.exists() and TRIALS.read_text() == text.getvalue():
+        return
     whole = TRIALS.with_suffix(".part")
-    with open(whole, "w") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerows([COLUMNS, *map(cells_of, rows)])
+    whole.write_text(text.getvalue())
     os.replace(whole, TRIALS)
 
 
@@ -342,7 +346,7 @@ LABS = {
 
 def page(rows: list[dict[str, Any]]) -> str:
     """The document."""
-    seconds = [row["seconds"] for row in rows]
+    seconds, asked = ([row[name] for row in rows] for name in ("seconds", "asked"))
     lines = [
         "# What the ranking finds",
         "",
@@ -399,7 +403,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         "",
         f"{len(rows)} trials of {len({row['trial']['seed'] % 1000 for row in rows})} "
         f"seeds, {np.median(seconds) if seconds else 0:.1f} s each; the "
-        f"search asked for {np.median([row['asked'] for row in rows]):.0f} solves of "
+        f"search asked for {np.median(asked) if asked else 0:.0f} solves of "
         "each curve (median) besides the baseline.",
     ]
     lines += adoptions(single)
@@ -483,7 +487,7 @@ def section(rows: list[dict[str, Any]]) -> list[str]:
         own = pick(single, planted=planted) if planted else single
         cells = [share(pick(own, devices=d, size=s)) for d, s in cases]
         wrong = ["/".join(r["effects"]) or r["verdict"] for r in own if not right(r)]
-        most = max(set(wrong), key=wrong.count) if wrong else ""
+        most = max(sorted(set(wrong)), key=wrong.count) if wrong else ""
         most = most if len(most) < 60 else most[:57] + "..."
         shown = f"`{planted[0]}`" if planted else "**all**"
         lines.append(f"| {' | '.join([shown, *cells, most])} |")

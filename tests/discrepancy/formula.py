@@ -28,6 +28,8 @@ class Formula:
         Values (n,) of the k parameters, SI, as positional arguments.
     columns : (n, r) array, optional
         Change by one standard deviation of each calibration.
+    scale : float
+        Standard deviation of a factor of all values, one more calibration above 0.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Formula:
     function: Callable[..., Array]
     columns: Array | None = None
     common: tuple[Array, ...] = ()
+    scale: float = 0.0
 
     def _at(self, t: Array) -> Array:
         values = [p.value(float(x)) for p, x in zip(self.priors, t, strict=True)]
@@ -52,7 +55,16 @@ class Formula:
             rise = self._at(ahead) - self._at(behind)
             slopes[:, i] = rise / (ahead[i] - behind[i])
         columns = np.zeros((len(values), 0)) if self.columns is None else self.columns
+        if self.scale:
+            columns = np.column_stack([columns, self.scale * values])
         return Prediction(values, slopes, columns)
+
+    def bends(self, t: Array) -> Array:
+        at = self.predict(t)
+        bends = np.zeros((len(t), *at.columns.shape))
+        if self.scale:
+            bends[:, :, -1] = self.scale * at.slopes.T
+        return bends
 
     def many(self, t: Array) -> Array:
         return np.stack([self._at(one) for one in t])
