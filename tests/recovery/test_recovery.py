@@ -82,5 +82,6 @@ def test_a_table_that_a_kill_cut_loses_its_last_line(
     whole = recover.TRIALS.read_text()
     recover.TRIALS.write_text(whole[:-4])
     assert recover.known() == rows[:4]
-    recover.TRIALS.write_text(whole.replace("\n1,", "\n0,", 1))  # of other rules
+    old = f"\n{recover.RULES},", "\n0,"
+    recover.TRIALS.write_text(whole.replace(*old, 1))  # of other rules
     assert recover.known() == rows[1:]
