@@ -76,10 +76,16 @@ def measurements_text(measurements: Measurements) -> str:
     order += ["orientation", "run", "branch", "time", "pressure", "stretch"]
     for name in QUANTITY_NAMES:
         order += [name, f"{name}_std"]
+    # Without the column a reader takes loads that go back to rest for unloading.
+    falls = any(
+        (np.diff(np.abs(curve.load - isinstance(curve.design, Tensile))) < 0).any()
+        for curve in measurements.curves
+    )
     used = [
         field
         for field in order
         if any(field in row and row[field] != _USUAL.get(field) for row in rows)
+        or (field == "branch" and falls)
     ]
     out = io.StringIO(newline="")
     writer = csv.writer(out, lineterminator="\n")

@@ -305,6 +305,21 @@ def test_round_trip(whole: Measurements, tmp_path: Path) -> None:
         assert (new.branch == old.branch).all()
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_loads_that_go_back_while_loading_stay_loading(
+    sign: int, tmp_path: Path
+) -> None:
+    turned = curve(
+        load=sign * np.array([0.0, 3e3, 2e3, 1e3]),
+        branch=np.array([LOADING] * 4),
+        values=sign * np.full((4, 1), 0.11e-3),
+        std=np.full((4, 1), np.nan),
+    )
+    write_measurements(Measurements((turned,)), tmp_path / "again.csv")
+    again = read_measurements(tmp_path / "again.csv")
+    assert list(again.curves[0].branch) == [LOADING] * 4
+
+
 def test_only_columns_with_something_in_them_are_written() -> None:
     text = measurements_text(Measurements((curve(),)))
     header, *lines = text.splitlines()
