@@ -328,10 +328,10 @@ class Target:
         k, about = slopes.shape[1], covariance.information(r)
         size = np.zeros(k)  # derivatives of half the log determinant
         if k and columns.shape[1]:
-            bends = self.frame.turn @ self.hypothesis.bends(t)[:, self._keep]
+            turn, bends = self.frame.turn, self.hypothesis.bends(t)[:, self._keep]
             found = covariance.coefficients(r)[: columns.shape[1]]
-            slopes = slopes - (bends @ found).T
-            size = (covariance.solve(columns) * bends).sum(axis=(1, 2))
+            slopes = slopes - turn @ (bends @ found).T
+            size = (turn.T @ covariance.solve(columns) * bends).sum(axis=(1, 2))
         gradient = np.concatenate([slopes.T @ covariance.solve(r) + size, -about.slope])
         # Where the readings say nothing of a direction, its range does.
         range_ = np.maximum(self.upper - self.lower, 1e-9)
