@@ -43,7 +43,7 @@ HERE = Path(__file__).parent
 PAGE = HERE / "recovery.md"
 TRIALS = HERE / "recovery.csv"
 
-RULES = 2
+RULES = 3
 """Of making trials and ranking them.  A change that moves answers counts it up, and
 trials of other rules are no longer read."""
 
