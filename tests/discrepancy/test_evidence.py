@@ -9,7 +9,10 @@ import pytest
 from scipy.optimize import lsq_linear, minimize
 
 from datagen.space import Parameter
+from discrepancy.calibration import FIELDS, Calibrations
+from discrepancy.emulator import Emulator
 from discrepancy.evidence import Target, fit
+from discrepancy.hypotheses import Present
 from discrepancy.noise import LENGTH, Covariance, Frame, Readings, smooth_kernel
 from discrepancy.prior import Prior
 from tests.discrepancy.formula import Formula
@@ -218,6 +221,35 @@ def test_the_best_fit_is_the_lowest_misfit_within_its_bounds(seed: int) -> None:
     assert found.misfit == pytest.approx(cost(best), abs=1e-9)
     assert found.misfit <= min(judged) + 5e-3
     assert ((found.t >= 0) & (found.t <= 1)).all()
+
+
+def test_calibrations_bend_as_their_columns_differ() -> None:
+    """Derivatives of a device hypothesis' columns, against differences."""
+    rng = np.random.default_rng(3)
+    n, r = 10, 4
+    nodes = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]])
+    span = np.array([2.0, 2.0])
+    flat = np.full((3, n * len(FIELDS), 2), np.nan)
+    effect = Present(
+        name="made up",
+        effects=("made up",),
+        priors=(prior("a", -1.0, 1.0), prior("b", -1.0, 1.0)),
+        curves=Emulator(
+            nodes, rng.normal(size=(3, n)), rng.normal(size=(3, n, 2)), span
+        ),
+        fields=Emulator(nodes, rng.normal(size=(3, n * len(FIELDS))), flat, span),
+        shift=rng.normal(size=n),
+        calibrations=Calibrations(
+            tuple(("scale", i) for i in range(r)),
+            rng.normal(size=(n, len(FIELDS) + 1, r)),
+        ),
+        reach=np.tile([-np.inf, np.inf], (2, 1)),
+    )
+    t = np.array([0.3, -0.4])
+    for i, along in enumerate(1e-5 * np.eye(2)):
+        ahead, behind = effect.predict(t + along), effect.predict(t - along)
+        bend = (ahead.columns - behind.columns) / 2e-5
+        assert effect.bends(t)[i] == pytest.approx(bend, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(20))
