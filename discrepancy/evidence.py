@@ -315,7 +315,8 @@ class Target:
                 damping *= 8
             if gain < SETTLED or damping > LOST:
                 break
-        return x[:k], x[k:], now - 2 * hyper.log_prior(hyper.centre)
+        top = hyper.log_prior(hyper.centre)  # which `cost` leaves out
+        return x[:k], x[k:], now - 2 * top
 
     def _newton(
         self, covariance: Covariance, seen: Seen, t: Array
@@ -334,8 +335,8 @@ class Target:
             size = (turn.T @ covariance.solve(columns) * bends).sum(axis=(1, 2))
         gradient = np.concatenate([slopes.T @ covariance.solve(r) + size, -about.slope])
         # Where the readings say nothing of a direction, its range does.
-        range_ = np.maximum(self.upper - self.lower, 1e-9)
-        prior = np.concatenate([self.pull + range_**-2, self.hyper.width**-2])
+        span = np.maximum(self.upper - self.lower, 1e-9)
+        prior = np.concatenate([self.pull + span**-2, self.hyper.width**-2])
         matrix, least = np.diag(prior), BENT * prior
         matrix[:k, :k] += slopes.T @ covariance.solve(slopes)
         safe = matrix.copy()

@@ -65,6 +65,9 @@ COUNTS = (5, 10)
 LARGE, ABOVE = 5.0, 3.0
 """Times the independent noise, and times the noise floor: effects that should show."""
 
+ALL = 20
+"""Seeds, unless told otherwise."""
+
 ADOPTED = (10, NOISES[1])
 """Devices and noise of the trials whose effect is adopted as well."""
 
@@ -230,7 +233,7 @@ def _work(trial: Trial, cache: str | None) -> dict[str, Any]:
 
 
 def main(
-    seeds: str = "20", workers: str = "2", only: str = "", cache: str = ""
+    seeds: str = str(ALL), workers: str = "2", only: str = "", cache: str = ""
 ) -> None:
     """Solve, run the trials of some labs that are missing, write the page."""
     kinds = only.split() or list(KINDS)
@@ -366,7 +369,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         "(`tests/recovery/rehearsal.py`). Sets that are solved on other meshes are "
         "those of `pba challenge`.",
         "",
-        "Written by `make recovery`.",
+        f"Written by `make recovery`, which goes on until {ALL} seeds are done.",
     ]
     for lab, title in LABS.items():
         chosen = [row for row in rows if row["trial"]["lab"] == lab]
