@@ -8,8 +8,8 @@ import numpy as np
 
 from .calibration import FIELDS, Calibrations
 from .emulator import Emulator
-from .evidence import Prediction
 from .prior import Prior
+from .target import Prediction
 
 Array = np.ndarray
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .evidence import Fit, Hypothesis, fit
+from .evidence import Fit, fit
 from .heldout import explained, held_out, noise_floor
 from .hypotheses import Null
 from .noise import LARGE_SMOOTH
 from .study import Study
+from .target import Hypothesis
 from .weighing import nearest, probabilities, sound
 
 Array = np.ndarray

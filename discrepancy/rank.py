@@ -16,11 +16,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .evidence import Fit, Hypothesis, fit
+from .evidence import Fit, fit
 from .hypotheses import Present
 from .judging import Ranking, effects_of, judge
 from .noise import Frame
 from .study import Study
+from .target import Hypothesis
 from .weighing import HOPELESS, sound, weigh
 
 Array = np.ndarray

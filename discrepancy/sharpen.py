@@ -19,12 +19,13 @@ import numpy as np
 from datagen.device import Design
 from datagen.errors import InputError
 
-from .evidence import Fit, Target
+from .evidence import Fit
 from .experiment import carried, proposals
 from .measurement import Curve, Measurements
 from .noise import Frame
 from .prior import EVEN
 from .study import Study
+from .target import Target
 
 Array = np.ndarray
 

@@ -23,7 +23,6 @@ from datagen.specimens import Tensile
 
 from .calibration import Calibrations
 from .emulator import Emulator
-from .evidence import Prediction
 from .hypotheses import Null, Present
 from .measurement import Curve, Measurements
 from .noise import Readings
@@ -31,6 +30,7 @@ from .paths import Paths
 from .prior import EVEN, Prior
 from .repeats import ENOUGH, noise_from_repeats
 from .solves import Solve, Solved, Solver
+from .target import Prediction
 from .unknown import shapes_of
 
 Array = np.ndarray

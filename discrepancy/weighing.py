@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logsumexp
 
-from .evidence import ENOUGH, Fit, Hypothesis, Target, fit
+from .evidence import ENOUGH, Fit, fit
 from .noise import Frame, Readings
+from .target import Hypothesis, Target
 
 Array = np.ndarray
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.evidence import Prediction
 from discrepancy.prior import Prior
+from discrepancy.target import Prediction
 
 Array = np.ndarray
 

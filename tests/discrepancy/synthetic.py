@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from discrepancy.evidence import Fit, Prediction, fit
+from discrepancy.evidence import Fit, fit
 from discrepancy.missing import Kind, Labels
 from discrepancy.noise import Readings
 from discrepancy.study import Null
+from discrepancy.target import Prediction
 
 Array = np.ndarray
 

@@ -11,10 +11,11 @@ from scipy.optimize import lsq_linear, minimize
 from datagen.space import Parameter
 from discrepancy.calibration import FIELDS, Calibrations
 from discrepancy.emulator import Emulator
-from discrepancy.evidence import Target, fit
+from discrepancy.evidence import fit
 from discrepancy.hypotheses import Present
 from discrepancy.noise import LENGTH, Covariance, Frame, Readings, smooth_kernel
 from discrepancy.prior import Prior
+from discrepancy.target import Target
 from tests.discrepancy.formula import Formula
 from tests.discrepancy.known import (
     TRUE_POWERS,

@@ -9,9 +9,10 @@ import pytest
 from scipy import stats
 
 from discrepancy import missing, regions
-from discrepancy.evidence import Prediction, fit
+from discrepancy.evidence import fit
 from discrepancy.missing import Residuals, Score, Units, combined, overall, scores
 from discrepancy.study import Null
+from discrepancy.target import Prediction
 
 from .synthetic import devices
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from datagen.space import Parameter
-from discrepancy.evidence import Fit, Prediction, fit
+from discrepancy.evidence import Fit, fit
 from discrepancy.heldout import explained, held_out, noise_floor
 from discrepancy.hypotheses import Null
 from discrepancy.judging import Candidate, second_judge
 from discrepancy.noise import LARGE_SMOOTH, Readings
 from discrepancy.prior import Prior
+from discrepancy.target import Prediction
 from tests.discrepancy.formula import Formula
 
 DEVICES, STEPS = 6, 7
