@@ -25,7 +25,7 @@ REFERENCE := runs/reference
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help run test lint format docs verification figures refinement recovery mesh-error \
-    reference corrected bench-fem kill-test system pins clean
+    reference corrected bench-fem foreign kill-test system pins clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -87,6 +87,10 @@ corrected: $(INSTALLED) ## learn surrogates with effects in them, write down how
 bench-fem: $(INSTALLED) $(BENCH)/.installed ## time FElupe and CalculiX against our solver (an hour or two)
 	@sh benchmarks/system.sh
 	$(BIN)/python -m benchmarks.bench_fem --felupe-python $(BENCH)/bin/python
+
+foreign: $(TESTABLE) $(BENCH)/.installed ## hide effects in FElupe's answers, rank them, write it down (an hour)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.foreign --felupe-python $(BENCH)/bin/python \
+	    $(if $(ONLY),--only $(ONLY))
 
 kill-test: $(TESTABLE) ## kill -9 a generation twenty times, resume it, compare the files
 	$(BIN)/python -m examples.kill_generate --kills 20

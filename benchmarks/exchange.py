@@ -72,6 +72,12 @@ class Question:
         Faces under pressure, in the order of `FACES`.
     pressure : (s,) array, Pa
         Increasing, applied one after the other.
+    second : float
+        C2/C1 of What = C1 (I1bar - 3) + C2 (I2bar - 3), mu = 2 (C1 + C2).
+    inverse_limit : float
+        1/Jm of What = -mu Jm/2 ln(1 - (I1bar - 3)/Jm); one of the two is 0.
+    weight : float, N/m3
+        Force along -z on the undeformed volume.
     """
 
     nodes: Array
@@ -81,6 +87,14 @@ class Question:
     fixed: Array
     wet: Array
     pressure: Array
+    second: float = 0.0
+    inverse_limit: float = 0.0
+    weight: float = 0.0
+
+    @property
+    def plain(self) -> bool:
+        """Whether the law is the contract's, and pressure the only load."""
+        return self.second == self.inverse_limit == self.weight == 0.0
 
     @property
     def unknowns(self) -> int:
@@ -93,7 +107,8 @@ class Question:
     @classmethod
     def read(cls, path: Path) -> Question:
         with np.load(path) as arrays:
-            return cls(**{f.name: arrays[f.name] for f in fields(cls)})
+            # [()] makes a number of an array without dimensions.
+            return cls(**{f.name: arrays[f.name][()] for f in fields(cls)})
 
 
 @dataclass(frozen=True)

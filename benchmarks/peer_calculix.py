@@ -200,8 +200,11 @@ def solve(question: Question) -> Answer:
     Raises
     ------
     PeerFailed
-        When ccx is missing, or ended before the last pressure.
+        When ccx is missing, ended before the last pressure, or the question is not of
+        the contract's law and pressure alone.
     """
+    if not question.plain:
+        raise PeerFailed("the deck has the contract's law and pressure alone")
     number = version()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

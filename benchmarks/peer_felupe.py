@@ -52,6 +52,28 @@ def linear_solver(name: str) -> Any:
     return superlu
 
 
+def law_of(shear: float, bulk: float, question: Question) -> Any:
+    """FElupe's own neo-Hookean law, or an energy that it differentiates itself."""
+    if question.second == question.inverse_limit == 0:
+        return fem.NeoHooke(mu=shear, bulk=bulk)
+    import tensortrax.math as tm
+
+    def energy(c: Any) -> Any:
+        volume = tm.sqrt(tm.linalg.det(c))
+        first = tm.trace(c) * volume ** (-2 / 3) - 3
+        if question.inverse_limit:
+            limit = 1 / question.inverse_limit
+            shape = -shear * limit / 2 * tm.log(1 - first / limit)
+        else:
+            twice = (tm.trace(c) ** 2 - tm.trace(c @ c)) / 2
+            second = twice * volume ** (-4 / 3) - 3
+            both = first + question.second * second
+            shape = shear / 2 / (1 + question.second) * both
+        return shape + bulk / 2 * (volume - 1) ** 2
+
+    return fem.Hyperelastic(energy)
+
+
 def build(question: Question) -> tuple[Any, list[Any], Any]:
     """Field, bodies of the two layers, and the pressure on the cavity's walls."""
     nodes = question.nodes * LENGTH
@@ -67,8 +89,11 @@ def build(question: Question) -> tuple[Any, list[Any], Any]:
         chosen = question.shear == shear
         bulk = float(question.bulk[chosen][0])
         part = fem.Mesh(nodes, question.cells[chosen], "hexahedron20")
-        umat = fem.NeoHooke(mu=float(shear), bulk=bulk)
-        bodies.append(fem.SolidBody(umat, field_on(part)))
+        law = law_of(float(shear), bulk, question)
+        bodies.append(fem.SolidBody(law, field_on(part)))
+    if question.weight:
+        force = [0.0, 0.0, -question.weight * FORCE / LENGTH**3]
+        bodies.append(fem.SolidBodyForce(field_on(whole), values=force))
     on_wall = np.zeros(len(nodes), dtype=bool)
     for face, (corners, edges) in enumerate(zip(FACES, FACE_EDGES, strict=True)):
         on_wall[question.cells[question.wet[:, face]][:, [*corners, *edges]]] = True

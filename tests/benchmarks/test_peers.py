@@ -8,8 +8,10 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,18 +52,27 @@ def cube(pressure: float, shear: float, bulk: float) -> Question:
     )
 
 
-def stretches(pressure: float, shear: float, bulk: float) -> np.ndarray:
-    """Along x and across of W = mu/2 (I1bar - 3) + K/2 (J - 1)^2, closed form.
+def stretches(
+    pressure: float,
+    shear: float,
+    bulk: float,
+    second: float = 0.0,
+    inverse_limit: float = 0.0,
+) -> np.ndarray:
+    """Along x and across of W = What(I1bar, I2bar) + K/2 (J - 1)^2, closed form.
 
-    Cauchy's stress is mu J^(-5/3) dev(b) + K (J - 1) I: -p along x, 0 across.
+    Cauchy's stress with bbar = J^(-2/3) b is 2/J dev(What_1 bbar - What_2 bbar^-1) +
+    K (J - 1) I: -p along x, 0 across.
     """
 
     def stress(unknown: np.ndarray) -> list[float]:
         along, across = unknown
         volume = along * across**2
-        mean = (along**2 + 2 * across**2) / 3
-        deviator = shear * volume ** (-5 / 3) * (np.array([along, across]) ** 2 - mean)
-        total = deviator + bulk * (volume - 1)
+        square = np.array([along, across, across]) ** 2 * volume ** (-2 / 3)
+        first = shear / 2 / (1 + second)
+        first /= 1 - inverse_limit * (square.sum() - 3)
+        part = first * square - second * shear / 2 / (1 + second) / square
+        total = 2 / volume * (part - part.mean()) + bulk * (volume - 1)
         return [total[0] + pressure, total[1]]
 
     found: np.ndarray = fsolve(stress, [1.0, 1.0], xtol=1e-13)
@@ -192,18 +203,20 @@ def test_iterations_are_counted() -> None:
 
 
 def test_files_keep_what_they_carry(tmp_path: Path) -> None:
-    asked = cube(1e3, 1e6, 2e7)
+    asked = replace(cube(1e3, 1e6, 2e7), weight=9.81e3)
     asked.write(tmp_path / "question.npz")
     again = Question.read(tmp_path / "question.npz")
     assert (again.wet == asked.wet).all() and (again.cells == asked.cells).all()
+    assert (again.second, again.weight, again.plain) == (0.0, 9.81e3, False)
     answer = Answer(np.ones((1, 2, 3)), Cost(1.5, 1.4, 4, 3, 2, {"program": "1.0"}))
     answer.write(tmp_path / "answer.npz")
     assert Answer.read(tmp_path / "answer.npz").cost == answer.cost
 
 
 def check_cube(answer: Answer, asked: Question, shear: float, bulk: float) -> None:
+    law = asked.second, asked.inverse_limit
     for u, pressure in zip(answer.displacement, asked.pressure, strict=True):
-        along, across = stretches(float(pressure), shear, bulk)
+        along, across = stretches(float(pressure), shear, bulk, *law)
         far = u[np.argmin(np.abs(asked.nodes - 1e-3).sum(axis=1))] / 1e-3
         np.testing.assert_allclose(far, [along - 1, across - 1, across - 1], rtol=1e-4)
 
@@ -224,8 +237,13 @@ def test_calculix_has_the_law_and_the_load() -> None:
 @pytest.mark.skipif(
     not FELUPE.exists(), reason="make bench-fem has not installed FElupe"
 )
-def test_felupe_has_the_law_and_the_load(tmp_path: Path) -> None:
-    asked = cube(PRESSURE, SHEAR, BULK)
+@pytest.mark.parametrize(
+    "law",
+    [{}, {"second": 0.3}, {"inverse_limit": 0.5}],
+    ids=["plain", "second", "gent"],
+)
+def test_felupe_has_the_law_and_the_load(law: dict[str, Any], tmp_path: Path) -> None:
+    asked = replace(cube(PRESSURE, SHEAR, BULK), **law)
     question, answer = tmp_path / "question.npz", tmp_path / "answer.npz"
     asked.write(question)
     command = [str(FELUPE), "-m", "benchmarks.peer_felupe", str(question), str(answer)]
@@ -234,6 +252,30 @@ def test_felupe_has_the_law_and_the_load(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     check_cube(Answer.read(answer), asked, SHEAR, BULK)
+
+
+@pytest.mark.skipif(
+    not FELUPE.exists(), reason="make bench-fem has not installed FElupe"
+)
+def test_felupe_weighs_what_it_solves(tmp_path: Path) -> None:
+    """A cube on rollers, nu = 0, hardly pressed: rho g h^2 / 2E shorter, E = 2 mu."""
+    weight = 10 * SHEAR
+    asked = replace(cube(1e-3, SHEAR, 2 * SHEAR / 3), weight=weight)
+    question, answer = tmp_path / "question.npz", tmp_path / "answer.npz"
+    asked.write(question)
+    command = [str(FELUPE), "-m", "benchmarks.peer_felupe", str(question), str(answer)]
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    u = Answer.read(answer).displacement[-1]
+    top = asked.nodes[:, 2] > 0.99e-3
+    np.testing.assert_allclose(u[top, 2], -weight * 1e-6 / (4 * SHEAR), rtol=0.01)
+
+
+def test_calculix_refuses_other_laws() -> None:
+    with pytest.raises(peer_calculix.PeerFailed, match="pressure alone"):
+        peer_calculix.solve(replace(cube(1e3, SHEAR, BULK), second=0.1))
 
 
 def test_a_missing_calculix_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
