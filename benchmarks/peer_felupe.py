@@ -148,6 +148,7 @@ def solve(question: Question, linear: str = "superlu") -> Answer:
         found.append(field[0].values / LENGTH)
     packages = ["felupe", "numpy", "scipy"]
     packages += ["pypardiso", "mkl"] if linear == "pardiso" else []
+    packages += ["tensortrax"] if question.second or question.inverse_limit else []
     return Answer(
         np.stack(found),
         Cost(

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from .noise import Covariance, Frame, Hyper, Readings
-from .target import Hypothesis, Target, shapes_of
+from .target import Hypothesis, Target, kept_shapes
 
 Array = np.ndarray
 
@@ -131,7 +131,9 @@ class Fit:
         common = self.amplitude("common")
         shapes = [
             common[g] * s
-            for g, s in zip(common, shapes_of(self.hypothesis, self.keep), strict=True)
+            for g, s in zip(
+                common, kept_shapes(self.hypothesis, self.keep), strict=True
+            )
         ]
         columns = np.concatenate([at.columns, *shapes], axis=1)
         prediction: Array = at.values + columns @ found

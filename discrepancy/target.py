@@ -82,7 +82,7 @@ class Hypothesis(Protocol):
         ...
 
 
-def shapes_of(hypothesis: Hypothesis, keep: Array) -> tuple[Array, ...]:
+def kept_shapes(hypothesis: Hypothesis, keep: Array) -> tuple[Array, ...]:
     """Shapes of an unknown effect for the groups that have readings among those kept.
 
     A group can be of one device alone, and that device be held out.
@@ -97,7 +97,9 @@ class Target:
         self.frame, self.hypothesis = frame, hypothesis
         self._keep = keep
         self.hyper = frame.hyper(bool(hypothesis.common))
-        self._common = tuple(frame.turn @ s[keep] for s in shapes_of(hypothesis, keep))
+        self._common = tuple(
+            frame.turn @ s[keep] for s in kept_shapes(hypothesis, keep)
+        )
         self._y = frame.readings.value
         self.priors = hypothesis.priors
         self.lower = np.array([p.bounds[0] for p in self.priors])

@@ -214,6 +214,8 @@ def solve_design(row: int | str, design: Design, truth: bool) -> None:
 
 def solve_all(paths: int, workers: int) -> None:
     """Solve what is missing, a design by each worker; what has a stand-in, last."""
+    if not paths:
+        return
     with ProcessPoolExecutor(workers) as pool:
         for truth in (False, True):
             solving = [

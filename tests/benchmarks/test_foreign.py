@@ -6,18 +6,83 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.foreign import CASES, FILES, PAGE, RESULTS, devices, grown, page
+from benchmarks import foreign
+from benchmarks.exchange import Answer, Cost, Question
+from benchmarks.foreign import CASES, FILES, PAGE, Elsewhere, devices, grown, page
+from datagen.device import Design
+from datagen.effects.self_weight import GRAVITY
 from discrepancy.reading import read_measurements
 
 
-def test_the_document_is_of_the_record() -> None:
-    record = json.loads(RESULTS.read_text())
-    assert set(record["cases"]) == set(CASES)
+def test_the_document_is_of_the_record_and_the_files() -> None:
+    record = foreign.known()
+    assert list(record) == list(CASES)
     assert PAGE.read_text() == page(record)
+    for name, found in record.items():
+        assert found["sha256"] == foreign.digest(name)
+
+
+def test_a_case_is_added_to_what_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foreign, "RESULTS", tmp_path / "foreign.json")
+    foreign.keep("heavy", {"sha256": "a"})
+    foreign.keep("nothing", {"sha256": "b"})
+    foreign.keep("heavy", {"generator": "7"})
+    assert foreign.known() == {
+        "nothing": {"sha256": "b"},
+        "heavy": {"sha256": "a", "generator": "7"},
+    }
+
+
+class Still:
+    """A model of ours whose devices do not move."""
+
+    def __call__(self, designs: list[Design], paths: list[Any]) -> Still:
+        return self
+
+    def output(self, name: str) -> np.ndarray:
+        return np.ones((1, 1))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_peer_is_asked_for_what_is_hidden(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And its answer read: all nodes 10 um higher are a tip and no inflation."""
+    asked: list[Question] = []
+
+    def call(command: list[str], limit: float) -> None:
+        asked.append(Question.read(Path(command[3])))
+        up = np.zeros((1, len(asked[0].nodes), 3))
+        up[..., 2] = 10e-6
+        Answer(up, Cost(1.0, 1.0, 1, 1, 1)).write(Path(command[4]))
+
+    monkeypatch.setattr(foreign, "call", call)
+    bench = Elsewhere(CASES[name], 1, Path("python"))
+    monkeypatch.setattr(bench, "model", Still())
+    made = devices(CASES[name].soft)["D1"]
+    outputs, values = bench.answer(made, np.array([5e3]))
+    assert outputs == ("tip_deflection", "inflation")
+    np.testing.assert_allclose(values, [[10e-6, 0.0]], atol=1e-12)
+    (question,) = asked
+    told = question.second, question.inverse_limit, question.weight
+    hidden = {
+        "heavy": (0.0, 0.0, 1000.0 * GRAVITY),
+        "mooney": (0.15, 0.0, 0.0),
+        "gent": (0.0, 0.125, 0.0),
+    }
+    assert told == hidden.get(name, (0.0, 0.0, 0.0))
+    wet = question.nodes[question.cells[question.wet.any(axis=1)]]
+    start = made.balloon_start - (50e-6 if name == "larger" else 0.0)
+    lines = np.unique(question.nodes[:, 0])
+    assert np.abs(lines - start).min() < 1e-9
+    assert wet[..., 0].max() > made.balloon_start + made.balloon_length
 
 
 @pytest.mark.parametrize("name", CASES)

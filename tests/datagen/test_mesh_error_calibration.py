@@ -11,7 +11,7 @@ import pytest
 
 from datagen.mesh import COARSER, FORMER, LEVELS
 from datagen.response import OUTPUT_NAMES
-from docs import mesh_error_cases
+from docs import mesh_error, mesh_error_cases
 from docs.mesh_error import calibrate, check, quantile
 from docs.mesh_error_cases import (
     MESHES,
@@ -116,6 +116,14 @@ def test_the_published_device_is_never_out_of_its_bound() -> None:
         without = calibrate(cases, level, NONE).factors
         bound = without.factor * published.brackets(level, without.floor)
         assert (published.errors(level) > bound).any()
+
+
+def test_the_document_is_of_the_paths_and_factors() -> None:
+    cases, left_out = mesh_error_cases.collect()
+    published, _ = mesh_error_cases.collect(mesh_error_cases.PUBLISHED)
+    divided, more = mesh_error_cases.collect(mesh_error_cases.DIVIDED)
+    written = mesh_error.page(cases, published, divided, left_out + more)
+    assert mesh_error.PAGE.read_text() == written
 
 
 def test_a_floor_is_taken_where_two_meshes_agree_by_accident() -> None:
