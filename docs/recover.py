@@ -24,7 +24,9 @@ import numpy as np
 
 from datagen.effects import catalogue
 from discrepancy.answer import parameters_of
+from discrepancy.evidence import fit
 from discrepancy.heldout import held_out, noise_floor
+from discrepancy.hypotheses import Null
 from discrepancy.judging import Candidate
 from discrepancy.noise import Readings
 from discrepancy.solves import Progress, Solver
@@ -173,18 +175,23 @@ def fall(
 ) -> dict[str, float]:
     """Errors on devices left out, in noise: as stated, with the effect, the floor.
 
-    And what the planted effect itself moves the readings by, its root mean square.
+    And with the planted size itself: what nobody can do better than with these draws
+    of tolerances, where the floor is what to expect of them.  And what the planted
+    effect moves the readings by, its root mean square.
     """
     (name, t), base = next(iter(truth.items())), lab.study.base
     present = lab.present(name)
     assert present is not None
     effect = (present.predict(t).values - base) / one.fit.noise
     lack = (readings.value - base) / one.fit.noise
+    planted = present.predict(t)._replace(slopes=np.zeros((len(base), 0)))
+    told = fit(readings, Null("planted", planted), evidence=False)
     return {
         "effect": float(np.sqrt(np.mean(effect**2))),
         "before": float(np.sqrt(np.mean(lack**2))),
         "after": held_out(one.fit),
         "floor": noise_floor(one.fit),
+        "ideal": held_out(told, one.fit.noise),
     }
 
 
@@ -266,7 +273,7 @@ def main(
     PAGE.write_text(page(known()))
 
 
-ADOPTION = ("effect", "before", "after", "floor")
+ADOPTION = ("effect", "before", "after", "floor", "ideal")
 """See `fall`."""
 
 COLUMNS = (
@@ -405,7 +412,8 @@ def page(rows: list[dict[str, Any]]) -> str:
         f"take too long to be solved by the hundred: {'; '.join(without)}.",
         "",
         f"{len(rows)} trials of {len({row['trial']['seed'] % 1000 for row in rows})} "
-        f"seeds, {np.median(seconds) if seconds else 0:.1f} s each; the "
+        "seeds (trials of one have the same draws of tolerances, smooth errors and "
+        f"noise), {np.median(seconds) if seconds else 0:.1f} s each; the "
         f"search asked for {np.median(asked) if asked else 0:.0f} solves of "
         "each curve (median) besides the baseline.",
     ]
@@ -426,21 +434,32 @@ def adoptions(rows: list[dict[str, Any]]) -> list[str]:
         f"{ADOPTED[1] * 1e6:g} um noise), fitted to nine devices and judged on the "
         "tenth, in turn:",
         "",
-        "| size of the effect | sets | error at most 1.2 times the noise floor | error "
-        "falls by a factor of 3 or more | median factor |",
-        "| --- " * 5 + "|",
+        "| size of the effect | sets | error at most 1.2 times the noise floor | at "
+        "most 1.2 times the error with the planted size | error falls by a factor of 3 "
+        "or more | median factor |",
+        "| --- " * 6 + "|",
     ]
     for size in SIZES:
         found = [row["adopted"] for row in pick(chosen, size=size)]
         if not found:
             continue
-        near = np.mean([one["after"] <= 1.2 * one["floor"] for one in found])
+        near, best = (
+            np.mean([one["after"] <= 1.2 * one[name] for one in found])
+            for name in ("floor", "ideal")
+        )
         ratio = np.array([one["before"] / one["after"] for one in found])
         lines.append(
-            f"| {size:g} x | {len(found)} | {near:.0%} | {np.mean(ratio >= 3):.0%} | "
-            f"{np.median(ratio):.1f} |"
+            f"| {size:g} x | {len(found)} | {near:.0%} | {best:.0%} | "
+            f"{np.mean(ratio >= 3):.0%} | {np.median(ratio):.1f} |"
         )
     adopted = [row["adopted"] for row in chosen]
+    lines += [
+        "",
+        "The noise floor is what to expect, over all draws of tolerances; a seed's own "
+        "draw is the same in all of its trials, and is above what is expected or below "
+        "it in all of them. With the planted size in place of the fitted one, the "
+        "draws are those of the set.",
+    ]
     for times, above_floor, words in (
         (LARGE, False, "independent noise"),
         (ABOVE, True, "noise floor, tolerances of unmeasured devices included,"),

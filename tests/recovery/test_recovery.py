@@ -61,6 +61,18 @@ def test_two_effects_are_both_named(lab: Lab) -> None:
     assert rank(lab, readings)[0].effects == ("bond_edge+cure_mismatch",)
 
 
+def test_what_is_adopted_is_measured_by_the_planted_size(lab: Lab) -> None:
+    t = size_for(lab, "bond_edge", 12.0, NOISE, SMOOTH, 3)
+    readings, _ = readings_of(lab, {"bond_edge": t}, noise=NOISE, smooth=SMOOTH, seed=3)
+    candidates = rank(lab, readings)[0].candidates
+    one = next(c for c in candidates if c.effects == ("bond_edge",))
+    found = recover.fall(lab, readings, one, {"bond_edge": t})
+    assert found["ideal"] < found["before"] / 2
+    assert found["after"] == pytest.approx(found["ideal"], rel=0.2)
+    wrong = recover.fall(lab, readings, one, {"bond_edge": 0.5 * t})
+    assert wrong["ideal"] > 1.5 * found["ideal"]
+
+
 def test_kept_solves_are_not_solved_again(lab: Lab, tmp_path: Path) -> None:
     before = lab.solver.solved
     lab.solve()
