@@ -234,9 +234,25 @@ def test_calculix_has_the_law_and_the_load() -> None:
     assert 2 < answer.cost.iterations < 100
 
 
-@pytest.mark.skipif(
-    not FELUPE.exists(), reason="make bench-fem has not installed FElupe"
+needs_felupe = pytest.mark.skipif(
+    not FELUPE.exists(),
+    reason="neither make bench-fem nor make foreign has installed FElupe",
 )
+
+
+def felupe_says(asked: Question, folder: Path) -> Answer:
+    """FElupe's answer, from its own environment."""
+    question, answer = folder / "question.npz", folder / "answer.npz"
+    asked.write(question)
+    command = [str(FELUPE), "-m", "benchmarks.peer_felupe", str(question), str(answer)]
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return Answer.read(answer)
+
+
+@needs_felupe
 @pytest.mark.parametrize(
     "law",
     [{}, {"second": 0.3}, {"inverse_limit": 0.5}],
@@ -244,31 +260,15 @@ def test_calculix_has_the_law_and_the_load() -> None:
 )
 def test_felupe_has_the_law_and_the_load(law: dict[str, Any], tmp_path: Path) -> None:
     asked = replace(cube(PRESSURE, SHEAR, BULK), **law)
-    question, answer = tmp_path / "question.npz", tmp_path / "answer.npz"
-    asked.write(question)
-    command = [str(FELUPE), "-m", "benchmarks.peer_felupe", str(question), str(answer)]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    check_cube(Answer.read(answer), asked, SHEAR, BULK)
+    check_cube(felupe_says(asked, tmp_path), asked, SHEAR, BULK)
 
 
-@pytest.mark.skipif(
-    not FELUPE.exists(), reason="make bench-fem has not installed FElupe"
-)
+@needs_felupe
 def test_felupe_weighs_what_it_solves(tmp_path: Path) -> None:
     """A cube on rollers, nu = 0, hardly pressed: rho g h^2 / 2E shorter, E = 2 mu."""
     weight = 10 * SHEAR
     asked = replace(cube(1e-3, SHEAR, 2 * SHEAR / 3), weight=weight)
-    question, answer = tmp_path / "question.npz", tmp_path / "answer.npz"
-    asked.write(question)
-    command = [str(FELUPE), "-m", "benchmarks.peer_felupe", str(question), str(answer)]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    u = Answer.read(answer).displacement[-1]
+    u = felupe_says(asked, tmp_path).displacement[-1]
     top = asked.nodes[:, 2] > 0.99e-3
     np.testing.assert_allclose(u[top, 2], -weight * 1e-6 / (4 * SHEAR), rtol=0.01)
 
