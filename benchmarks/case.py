@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from datagen.device import named_device
-from datagen.mesh import MeshLevel, mesh_level
+from datagen.levels import MeshLevel, mesh_level
 from datagen.observe import Instruments
 from datagen.problem import Problem, baseline
 from datagen.response import OUTPUT_NAMES

@@ -1,6 +1,6 @@
 """How far an answer is from that of a much finer mesh, estimated from a coarser one.
 
-The path is solved again on a coarser mesh (`mesh.COARSER`), at the pressures of
+The path is solved again on a coarser mesh (`levels.COARSER`), at the pressures of
 its load steps.  With v the values, w those of the coarser mesh, the estimate is
 
     e(s) = k (max_{t <= s} |v(t) - w(t)|  +  c S(s))
@@ -33,7 +33,7 @@ from .device import Design
 from .equilibrium import Workspace
 from .errors import FileError
 from .journey import gauge
-from .mesh import COARSER, LEVELS
+from .levels import COARSER, LEVELS
 from .observe import Instruments
 from .problem import Problem
 from .response import CONVERGED, OUTPUT_NAMES, Path, Response

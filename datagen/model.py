@@ -17,7 +17,7 @@ from .effects import Effect, catalogue
 from .effects.acting import act
 from .equilibrium import Workspace
 from .errors import EffectError, InputError
-from .mesh import COARSER, mesh_level
+from .levels import COARSER, mesh_level
 from .mesh_error import estimate
 from .problem import STAGES, Body, Problem, baseline
 from .response import OUTPUT_NAMES, Path, Response

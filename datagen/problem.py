@@ -15,8 +15,9 @@ import numpy as np
 
 from .device import POISSON, Design
 from .elements import LOCAL_SHARE, local_share
+from .levels import MeshLevel
 from .materials import Hyperelastic, Law
-from .mesh import UPPER, Mesh, MeshLevel, StripMesh, build_mesh
+from .mesh import UPPER, Mesh, StripMesh, build_mesh
 from .surfaces import Skin, Springs
 
 Array = np.ndarray

@@ -21,8 +21,9 @@ from .effects.acting import act
 from .equilibrium import Workspace
 from .errors import InputError
 from .journey import gauge
+from .levels import MeshLevel
 from .materials import Hyperelastic, Law
-from .mesh import LOWER, UPPER, Mesh, MeshLevel, graded
+from .mesh import LOWER, UPPER, Mesh, graded
 from .problem import Body, lame
 from .response import CONVERGED, Path, Response
 

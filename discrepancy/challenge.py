@@ -19,7 +19,7 @@ from datagen.effects import Effect, catalogue
 from datagen.effects.acting import act
 from datagen.equilibrium import Workspace
 from datagen.errors import EffectError, InputError
-from datagen.mesh import LEVELS, MeshLevel
+from datagen.levels import LEVELS, MeshLevel
 from datagen.problem import STAGES, baseline
 from datagen.response import Path
 from datagen.solver import solve

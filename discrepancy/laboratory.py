@@ -11,7 +11,7 @@ from numpy.polynomial import legendre
 from scipy.special import ndtr, ndtri
 
 from datagen.device import CASES, MATERIALS, MM, UM, Design
-from datagen.mesh import LEVELS, MeshLevel
+from datagen.levels import LEVELS, MeshLevel
 from datagen.response import Path
 
 Array = np.ndarray

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from datagen.atomic import write_text
-from datagen.mesh import COARSER, LEVELS
+from datagen.levels import COARSER, LEVELS
 from datagen.mesh_error import FACTORS, Factors, calibrated_meshes, factors
 from datagen.response import OUTPUT_NAMES
 

@@ -21,7 +21,7 @@ import numpy as np
 from datagen.continuation import PathFollower
 from datagen.device import DESIGN_SPACE, MAX_PRESSURE, Design, named_device
 from datagen.journey import gauge
-from datagen.mesh import COARSER, FORMER, LEVELS, SKETCH, MeshLevel
+from datagen.levels import COARSER, FORMER, LEVELS, SKETCH, MeshLevel
 from datagen.mesh_error import bracket, scale_of
 from datagen.observe import Instruments
 from datagen.problem import baseline

@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 from datagen.atomic import write_text
 from datagen.continuation import PathFollower
 from datagen.device import named_device
-from datagen.mesh import MeshLevel
+from datagen.levels import MeshLevel
 from datagen.observe import Instruments
 from datagen.problem import Problem, baseline
 from datagen.response import OUTPUT_NAMES, Path

@@ -186,7 +186,7 @@ def predict(
     from .versions import chosen_version, version_answer
 
     if level not in LEVELS:  # refused where the finite elements are not asked, too
-        from datagen.mesh import mesh_level
+        from datagen.levels import mesh_level
 
         mesh_level(level)
     design = _design(device, case, settings)

@@ -186,7 +186,7 @@ def mesh_of(base: Dataset) -> str:
     InputError
         When this program has not got the mesh of that generator.
     """
-    from datagen.mesh import FORMER
+    from datagen.levels import FORMER
     from datagen.model import GENERATOR_VERSION
 
     if base.generator_version == GENERATOR_VERSION:

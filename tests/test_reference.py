@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from datagen.dataset import Dataset
 from datagen.device import DESIGN_SPACE
-from datagen.mesh import mesh_level
+from datagen.levels import mesh_level
 from datagen.model import GENERATOR_VERSION, Model
 from datagen.response import Path
 from datagen.worker import PROPER_ENDS

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, diags_array
 
 from ..device import Design
 from ..equilibrium import Equilibrium
-from ..mesh import MeshLevel
+from ..levels import MeshLevel
 from ..observe import Instruments
 from ..problem import FIELDS, STAGES, Problem
 from ..response import CONVERGED, OUTPUT_NAMES, Response

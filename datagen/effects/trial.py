@@ -21,7 +21,7 @@ from ..continuation import PathFollower
 from ..device import Design, named_device
 from ..equilibrium import Equilibrium, Workspace
 from ..errors import EffectError
-from ..mesh import MeshLevel, mesh_level
+from ..levels import MeshLevel, mesh_level
 from ..problem import Problem, baseline
 from ..response import OUTPUT_NAMES, Path, Response
 from ..solver import solve

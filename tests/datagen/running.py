@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from datagen.device import Design, named_device
-from datagen.mesh import mesh_level
+from datagen.levels import mesh_level
 from datagen.model import Model
 from datagen.problem import Problem, baseline
 from datagen.response import OUTPUT_NAMES, Path

@@ -16,8 +16,8 @@ from datagen.effects import Effect, catalogue, effect
 from datagen.effects.acting import act
 from datagen.effects.door import SHA256, effects_of_file
 from datagen.errors import EffectError
+from datagen.levels import mesh_level
 from datagen.linear import default_backend, make_solver
-from datagen.mesh import mesh_level
 from datagen.problem import Problem, baseline
 from datagen.space import Parameter
 from datagen.specimens import Tensile, tensile_body

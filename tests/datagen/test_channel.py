@@ -13,7 +13,8 @@ from datagen.device import named_device
 from datagen.effects import catalogue
 from datagen.effects.air_channel import emptied
 from datagen.equilibrium import Equilibrium, Workspace
-from datagen.mesh import face_nodes, mesh_level
+from datagen.levels import mesh_level
+from datagen.mesh import face_nodes
 from datagen.model import Model
 from datagen.observe import observe
 from datagen.problem import Problem, baseline

@@ -15,8 +15,9 @@ from datagen.control import Options
 from datagen.effects import Effect, catalogue, effect
 from datagen.effects.conformance import CHECKS, NOISE, Report, check, run
 from datagen.effects.trial import PATH, Ground, Subject
+from datagen.levels import MeshLevel
 from datagen.materials import Array, Hyperelastic, LawResult, invariants
-from datagen.mesh import UPPER, MeshLevel
+from datagen.mesh import UPPER
 from datagen.problem import Problem
 from datagen.solver import solve
 from datagen.space import Parameter

@@ -14,7 +14,7 @@ from datagen.effects import catalogue
 from datagen.effects.acting import act
 from datagen.errors import InputError
 from datagen.generate import fitted, sampled_space
-from datagen.mesh import FORMER, SKETCH
+from datagen.levels import FORMER, SKETCH
 from datagen.model import Model
 from datagen.problem import baseline
 from datagen.response import Path

@@ -12,7 +12,7 @@ from datagen.device import named_device
 from datagen.effects import catalogue, effect
 from datagen.effects.door import effects_of_file
 from datagen.errors import EffectError, InputError
-from datagen.mesh import mesh_level
+from datagen.levels import mesh_level
 from datagen.model import Model
 from datagen.problem import STAGES, Problem, baseline
 from datagen.response import Path

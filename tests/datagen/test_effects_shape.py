@@ -8,7 +8,7 @@ import pytest
 from datagen.device import Design, named_device
 from datagen.effects.bond_edge import room_to_grow
 from datagen.errors import InputError
-from datagen.mesh import mesh_level
+from datagen.levels import mesh_level
 from datagen.model import Model
 from datagen.problem import baseline
 

@@ -12,8 +12,8 @@ from datagen.deflated import Deflated
 from datagen.device import named_device
 from datagen.elements import LOCAL_SHARE, element_data, local_share
 from datagen.equilibrium import Equilibrium, InvertedElement, Workspace
+from datagen.levels import mesh_level
 from datagen.linear import BACKENDS, SuperLU, make_solver
-from datagen.mesh import mesh_level
 from datagen.pardiso import Pardiso, mkl_library
 from datagen.problem import Problem, baseline
 

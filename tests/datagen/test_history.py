@@ -13,8 +13,8 @@ from datagen.continuation import PathFollower
 from datagen.control import Options
 from datagen.device import named_device
 from datagen.history import Mullins, Viscoelastic, convolve
+from datagen.levels import mesh_level
 from datagen.materials import Gent, Hyperelastic, Law, MooneyRivlin
-from datagen.mesh import mesh_level
 from datagen.model import Model
 from datagen.problem import Problem, baseline
 from datagen.response import Path, Response

@@ -11,14 +11,8 @@ from datagen.cavity import cavity, face_tensor
 from datagen.device import Design, named_device
 from datagen.elements import element_data
 from datagen.errors import InputError
-from datagen.mesh import (
-    UPPER,
-    build_mesh,
-    graded,
-    graded_both,
-    grid_lines,
-    mesh_level,
-)
+from datagen.levels import mesh_level
+from datagen.mesh import UPPER, build_mesh, graded, graded_both, grid_lines
 
 DEVICES = ["S1", "D8-4x1", "D8-2x2", "D8-1x3", "D8-6x2"]
 

@@ -12,7 +12,7 @@ import pytest
 from datagen import mesh_error
 from datagen.device import Design, named_device
 from datagen.errors import FileError, InputError
-from datagen.mesh import COARSER, LEVELS, MeshLevel, mesh_level
+from datagen.levels import COARSER, LEVELS, MeshLevel, mesh_level
 from datagen.mesh_error import Factors, bracket, factors, follow, scale_of
 from datagen.model import Model
 from datagen.problem import baseline

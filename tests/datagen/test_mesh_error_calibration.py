@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.mesh import COARSER, FORMER, LEVELS
+from datagen.levels import COARSER, FORMER, LEVELS
 from datagen.response import OUTPUT_NAMES
 from docs import mesh_error, mesh_error_cases
 from docs.mesh_error import calibrate, check, quantile

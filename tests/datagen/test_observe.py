@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from datagen.device import named_device
-from datagen.mesh import mesh_level
+from datagen.levels import mesh_level
 from datagen.model import Model
 from datagen.observe import Instruments, observe
 from datagen.problem import Problem, baseline

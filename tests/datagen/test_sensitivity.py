@@ -10,8 +10,8 @@ import pytest
 from datagen.device import Design, named_device
 from datagen.effects import catalogue
 from datagen.errors import EffectError
+from datagen.levels import mesh_level
 from datagen.materials import Hyperelastic, LawResult, invariants
-from datagen.mesh import mesh_level
 from datagen.model import CONTINUOUS_FIELDS, Model
 from datagen.problem import Problem, baseline
 from datagen.response import Path, Response

@@ -12,7 +12,7 @@ from datagen.control import Options
 from datagen.device import Design, named_device
 from datagen.equilibrium import Workspace
 from datagen.errors import EffectError, InputError
-from datagen.mesh import mesh_level
+from datagen.levels import mesh_level
 from datagen.model import Model, stack
 from datagen.pardiso import mkl_library
 from datagen.problem import baseline

@@ -11,6 +11,7 @@ import pytest
 from datagen.device import POISSON
 from datagen.effects import Effect, catalogue
 from datagen.errors import InputError
+from datagen.levels import mesh_level
 from datagen.materials import (
     Energy,
     Gent,
@@ -21,7 +22,6 @@ from datagen.materials import (
     NeoHookean,
     Yeoh,
 )
-from datagen.mesh import mesh_level
 from datagen.model import Model
 from datagen.problem import lame
 from datagen.response import Path

@@ -13,7 +13,7 @@ import pytest
 from datagen.device import MATERIALS, Design
 from datagen.effects import catalogue
 from datagen.errors import EffectError, FileError, InputError
-from datagen.mesh import LEVELS
+from datagen.levels import LEVELS
 from datagen.model import Model
 from datagen.response import Path as LoadPath
 from discrepancy.challenge import NOISE, Challenge, Maker, Plan, make, parse_size

@@ -410,10 +410,10 @@ def test_help_needs_no_heavy_package() -> None:
 
 
 def test_the_meshes_that_need_no_look_are_all_of_todays() -> None:
-    from datagen import mesh
+    from datagen.levels import LEVELS
     from service import options, schemas
 
-    assert options.LEVELS == tuple(mesh.LEVELS) == get_args(schemas.Level)
+    assert options.LEVELS == tuple(LEVELS) == get_args(schemas.Level)
 
 
 def test_predict_needs_neither_torch_nor_finite_elements() -> None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from datagen.chart import Point
 from datagen.continuation import PathFollower
+from datagen.levels import mesh_level
 from datagen.materials import Energy, Gent, MooneyRivlin, Yeoh
-from datagen.mesh import mesh_level
 from datagen.problem import Body
 from datagen.response import Path
 from datagen.specimens import Bulge, bulge_body, solve_bulge
