@@ -89,7 +89,8 @@ class Model:
 
     def __post_init__(self) -> None:
         mesh_level(self.level)
-        known = catalogue(self.effects_dir) if self.effects or self.parameters else {}
+        asked = self.effects or self.parameters or self.effects_dir
+        known = catalogue(self.effects_dir) if asked else {}
         for name in (*self.effects, *self.parameters):
             if name not in known:
                 raise EffectError(

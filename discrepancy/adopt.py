@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from datagen.effects import Effect
 from datagen.errors import EffectError, InputError
 
 from .answer import parameters_of
@@ -25,6 +26,7 @@ from .heldout import floor_interval, left_out, noise_floor
 from .judging import Candidate
 from .ladder import BASELINE, RECALIBRATED, Rung, ladder
 from .measurement import Measurements
+from .paths import Paths
 from .rank import Search
 from .study import Study
 from .words import BEYOND
@@ -129,7 +131,7 @@ def adopt(study: Study, effects: Sequence[str], seed: int = 0) -> Adoption:
         When none is given, one twice, or the readings cannot show one.
     """
     search = Search(study, seed)
-    notes = _refuse(search, effects)
+    notes = _first_solves(search, effects)
     # Solved in an order of their own, and all together before some of them, so that
     # what the whole fit knows does not depend on the order of the rungs.
     known: dict[str, Fit] = {}
@@ -177,8 +179,39 @@ def adopt(study: Study, effects: Sequence[str], seed: int = 0) -> Adoption:
     return replace(made, warnings=tuple(dict.fromkeys(warnings)))
 
 
-def _refuse(search: Search, effects: Sequence[str]) -> list[str]:
-    """First solves of the effects; what is doubtful, one line each.
+def refuse(effects: Sequence[str], known: Mapping[str, Effect], paths: Paths) -> None:
+    """Refuse what is impossible whatever is solved.
+
+    Parameters
+    ----------
+    effects : sequence of str
+    known : mapping of str to Effect
+        What may be named.
+    paths : Paths
+        Of the measurements.
+
+    Raises
+    ------
+    EffectError
+        When an effect is not known.
+    InputError
+        When none is given, one twice, or the readings cannot show one.
+    """
+    if not effects:
+        raise InputError("effects", "none", "the name of at least one effect")
+    for name in effects:
+        if name not in known:
+            allowed = ", ".join(known)
+            raise EffectError(f"effect: {name!r} is unknown; allowed: {allowed}")
+        if list(effects).count(name) > 1:
+            raise InputError("effects", name, "each effect once")
+        why = paths.blind(name)
+        if why:
+            raise InputError("effects", name, f"an effect that readings show: {why}")
+
+
+def _first_solves(search: Search, effects: Sequence[str]) -> list[str]:
+    """What is doubtful of the effects, one line each.
 
     Raises
     ------
@@ -186,17 +219,7 @@ def _refuse(search: Search, effects: Sequence[str]) -> list[str]:
         When something is impossible.
     """
     study = search.study
-    if not effects:
-        raise InputError("effects", "none", "the name of at least one effect")
-    for name in effects:
-        if name not in study.effects:
-            allowed = ", ".join(study.effects)
-            raise EffectError(f"effect: {name!r} is unknown; allowed: {allowed}")
-        if list(effects).count(name) > 1:
-            raise InputError("effects", name, "each effect once")
-        why = study.blind(name)
-        if why:
-            raise InputError("effects", name, f"an effect that readings show: {why}")
+    refuse(effects, study.effects, study.paths)
     search.solve_singles(sorted(effects))
     for name in effects:
         if study.present((name,)) is None:

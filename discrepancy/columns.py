@@ -203,7 +203,13 @@ def _is_unit(text: str) -> bool:
 
 
 def refusal(
-    field: str, value: float, lower: float, upper: float, why: str = ""
+    field: str,
+    value: float,
+    lower: float,
+    upper: float,
+    why: str = "",
+    *,
+    hint: bool = True,
 ) -> str | None:
     """Why a value is not allowed, in words; None where it is.
 
@@ -214,6 +220,8 @@ def refusal(
     value, lower, upper : float, SI
     why : str
         Where the limits come from, for the message.
+    hint : bool
+        Whether to say what unit the value was probably meant in.
     """
     column = NUMBERS[field]
     slack = 1e-9 * max(abs(lower), abs(upper))
@@ -229,7 +237,7 @@ def refusal(
         + f"{upper / scale:.6g} {column.unit}".rstrip()
         + (f" ({why})" if why else "")
     )
-    for unit, factor in UNITS[column.kind].items():
+    for unit, factor in UNITS[column.kind].items() if hint else ():
         meant = shown * factor
         likely = lower <= meant <= upper and abs(meant) >= LEAST_MEANT * upper
         if unit != column.unit and not inside and likely:

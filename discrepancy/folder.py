@@ -107,7 +107,11 @@ def read(folder: Path) -> ModelVersion:
         copy = folder / EFFECTS / file
         if not copy.is_file():
             raise FileError(copy, f"missing: effect {name} is written in it")
-        if digest(copy) != found.sources.get(name):
+        try:
+            now = digest(copy)
+        except OSError as error:
+            raise FileError(copy, f"cannot be read: {reason(error)}") from error
+        if now != found.sources.get(name):
             raise FileError(copy, "was changed after the adoption")
     return replace(found, folder=folder)
 

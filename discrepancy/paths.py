@@ -68,6 +68,22 @@ class Paths:
             if parameter.name not in CONDITIONS
         )
 
+    def blind(self, name: str) -> str:
+        """Why these curves cannot show an effect, empty where they may."""
+        for p in self._known[name].parameters:
+            if p.scale == "integer":
+                return f"its {p.name} is a whole number, which cannot be fitted"
+        timeless = [curve for curve in self._measured if curve.time is None]
+        if not timeless or not self.traits.timed(name):
+            return ""
+        if len(timeless) == len(self._measured):
+            return "it depends on time, and no reading has one (column time_s)"
+        first = timeless[0]
+        return (
+            f"it depends on time, and device {first.device}, run {first.run}, has none "
+            "(column time_s)"
+        )
+
     def load(
         self, c: int, effects: Iterable[str]
     ) -> tuple[tuple[float, ...], tuple[float, ...] | None, Array]:
@@ -80,10 +96,11 @@ class Paths:
         curve = self._measured[c]
         load = np.asarray(curve.load)
         if any(self.traits.remembers(name) for name in effects):
+            # Turned over within a run, a device is as old as its curve before that.
             before = [
                 other
-                for other in self._measured
-                if other.device == curve.device and other.run < curve.run
+                for i, other in enumerate(self._measured)
+                if other.device == curve.device and (other.run, i) < (curve.run, c)
             ]
             before.sort(key=lambda other: other.run)
             loads, times = _one_after_another([*before, curve])

@@ -46,8 +46,11 @@ LARGEST_RISE = 3.0
 a balloon is about a hemisphere, 0.5; beyond it soft balloons reach some 2."""
 
 LARGEST_STD = 3.0
-"""Largest standard deviation over the largest reading of a device: a quantity that is
+"""Largest standard deviation over the largest reading of a file: a quantity that is
 less certain than that was not measured, or is in another unit."""
+
+STILL = 0.01
+"""Of a strip's length: noise of its tip that is never too large."""
 
 LEAST_DIP = 20e-6
 """m.  A roof lower than at rest by more than this, and by three standard deviations,
@@ -124,6 +127,11 @@ class _Device:
     design: Design | Bulge | Tensile | None = None
     curves: dict[tuple[int, float], list[Reading]] = field(default_factory=dict)
 
+    @property
+    def readings(self) -> list[Reading]:
+        """Those of all its curves."""
+        return [one for rows in self.curves.values() for one in rows]
+
 
 def _measurements(
     table: Table, sha256: str, tolerances: Tolerances | None
@@ -152,6 +160,7 @@ def _measurements(
     curves = []
     for name, device in devices.items():
         _check_values(device, complaints, warnings)
+        _check_stds(device, devices.values(), complaints)
         measured = [
             curve
             for key, rows in device.curves.items()
@@ -342,7 +351,6 @@ def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) 
     if device.design is None:
         return
     limits = _limits(device.design)
-    _check_stds(device, complaints)
     if isinstance(device.design, Tensile):
         _check_stress(device.design, device.curves.values(), complaints)
     for reading in (one for rows in device.curves.values() for one in rows):
@@ -360,19 +368,32 @@ def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) 
             )
 
 
-def _check_stds(device: _Device, complaints: Complaints) -> None:
-    """Stated noise against the largest reading of its quantity."""
-    readings = [one for rows in device.curves.values() for one in rows]
+def _check_stds(
+    device: _Device, devices: Iterable[_Device], complaints: Complaints
+) -> None:
+    """Stated noise against the largest reading of its quantity in the file.
+
+    A tip may hardly move, as two bendings cancel: of a strip's length noise may always
+    be `STILL`.
+    """
+    design = device.design
+    if design is None:
+        return
+    alike = [one for one in devices if one.specimen == device.specimen]
     for quantity in MEASURED[device.specimen]:
-        top = max((abs(one.get(quantity, 0.0)) for one in readings), default=0.0)
-        field = f"{quantity}_std"
-        why = (
-            f"{LARGEST_STD:g} times the largest {NUMBERS[quantity].name} of the device"
+        top = LARGEST_STD * max(
+            (abs(one.get(quantity, 0.0)) for each in alike for one in each.readings),
+            default=0.0,
         )
-        for reading in readings:
+        field = f"{quantity}_std"
+        why = f"{LARGEST_STD:g} times the largest {NUMBERS[quantity].name} of the file"
+        still = STILL * design.length if isinstance(design, Design) else 0.0
+        if quantity == "tip_deflection" and 0 < top < still:
+            top, why = still, f"{STILL:.0%} of the strip's length"
+        for reading in device.readings:
             if top > 0 and field in reading.numbers:
                 std = reading.get(field)
-                wrong = refusal(field, std, 0.0, LARGEST_STD * top, why)
+                wrong = refusal(field, std, 0.0, top, why)
                 if wrong:
                     complaints.add(reading.row.where(field), wrong)
 
@@ -414,7 +435,10 @@ def _curve(
         return None
     prefix = f"{short(rows[0].row.place)}: device {name!r}, "
     if not outputs:
-        warnings.append(f"{prefix}run {key[0]} has no measured value and is left out")
+        warnings.append(
+            f"{prefix}run {key[0]} has no measured value and is left out: effects that "
+            "remember do not know of its loads. One reading, as at rest, keeps them"
+        )
         return None
     if turned is not None:
         warnings.append(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from .columns import NUMBERS
 from .measurement import Curve, Measurements
 
 Array = np.ndarray
@@ -80,7 +82,7 @@ def noise_from_repeats(measurements: Measurements) -> dict[tuple[str, str], Repe
                 lack = lack.T - line @ np.linalg.lstsq(line, lack.T, rcond=None)[0]
                 key = (first.specimen, name)
                 squares[key] = squares.get(key, 0.0) + float((lack**2).sum())
-                grid[key] = max(grid.get(key, 0.0), _last_digit(values))
+                grid[key] = max(grid.get(key, 0.0), _last_digit(values, name))
                 degrees[key] = degrees.get(key, 0) + free
                 devices.setdefault(key, {})[first.device] = None
     return {
@@ -89,6 +91,30 @@ def noise_from_repeats(measurements: Measurements) -> dict[tuple[str, str], Repe
         # What scatters by less than its last digit was rounded away, or copied.
         if squares[key] > free * grid[key] ** 2 / 12
     }
+
+
+def at_rest_alone(
+    measurements: Measurements, cells: Sequence[tuple[int, int, int]]
+) -> tuple[tuple[str, str], ...]:
+    """Specimens and quantities that are read at rest alone, without a stated noise.
+
+    Nothing tells theirs: it is guessed from what a quantity is under load, and a
+    baseline at rest is zero, from which any number would lie far away.
+
+    Parameters
+    ----------
+    measurements : Measurements
+    cells : sequence of (curve, step, column)
+        The readings.
+    """
+    told: dict[tuple[str, str], bool] = {}
+    for c, s, m in cells:
+        curve = measurements.curves[c]
+        rest = 1.0 if curve.specimen == "tensile" else 0.0
+        kind = (curve.specimen, curve.outputs[m])
+        heard = curve.load[s] != rest or bool(np.isfinite(curve.std[s, m]))
+        told[kind] = told.get(kind, False) or heard
+    return tuple(kind for kind, heard in told.items() if not heard)
 
 
 def _repeated(measurements: Measurements) -> list[list[Curve]]:
@@ -119,11 +145,23 @@ def _shared(runs: list[Curve], name: str, branch: str) -> tuple[Array, Array]:
     return np.array(loads), np.array([[row[p] for p in loads] for row in rows])
 
 
-def _last_digit(values: Array) -> float:
-    """Largest power of ten, SI, of which all values (m, s) are multiples.
+def _last_digit(values: Array, name: str) -> float:
+    """Largest power of ten, of the bench unit or SI, that all values are multiples of.
 
-    At least a part in 1e9 of the largest of them.
+    SI; the unit they were written in is one of the two, but for a power of ten.
+
+    Parameters
+    ----------
+    values : (m, s) array, SI
+    name : str
+        The quantity.
     """
+    unit = NUMBERS[name].bench.factor
+    return max(_power_of_ten(values), unit * _power_of_ten(values / unit))
+
+
+def _power_of_ten(values: Array) -> float:
+    """The largest that values are multiples of; at least 1e-9 of the largest one."""
     largest = float(np.abs(values).max())
     if largest == 0:
         return 0.0

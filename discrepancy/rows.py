@@ -93,18 +93,24 @@ def _number(
 ) -> float | None:
     """A field of a number, SI; None where it is none or outside its range."""
     column = NUMBERS[name]
-    unit = f" in {column.unit}" if column.unit else ""
+    heading = table.headings.get(name)
+    # Whether the file's unit is the bench's; tables without headings state theirs.
+    own = heading is None or table.factors[name] == column.bench.factor
+    heading = column.name if own else heading
+    unit = f" in {column.unit}" if column.unit and own else ""
     text = text.replace(MINUS, "-")
     if not NUMBER.fullmatch(text):
         complaints.add(
             row.where(name),
-            f"{column.name}: {text!r} is not allowed; allowed: a plain number{unit}, "
+            f"{heading}: {text!r} is not allowed; allowed: a plain number{unit}, "
             "or nothing where a reading is missing",
         )
         return None
     value = float(text.replace(table.decimal, ".")) * table.factors[name]
     lower = column.lower
-    wrong = refusal(name, value, lower, column.upper)
+    wrong = refusal(name, value, lower, column.upper, hint=own)
+    if wrong and not own:
+        wrong += f"; written as {text} in column {heading}"
     if wrong is None and name.endswith("_std") and value <= 0:
         wrong = (
             f"{column.name}: {text} {column.unit} is not allowed; allowed: a number "

@@ -20,7 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from datagen.atomic import reason, replacing
-from datagen.device import Design
+from datagen.device import LIMITS, Design
 from datagen.effects import Effect, catalogue
 from datagen.equilibrium import Workspace
 from datagen.errors import FileError, InputError
@@ -35,6 +35,9 @@ Specimen = Design | Bulge | Tensile
 
 Values = tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
 """Active effects and their parameters, SI, sorted by name."""
+
+Files = tuple[tuple[str, int, int, int], ...]
+"""Files of a user's own effects as they are now: name, inode, time, size."""
 
 SPECIMEN_STEP = 1e-3
 """Relative step of the differences by a specimen's thickness and modulus."""
@@ -88,8 +91,24 @@ class Solve:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-@lru_cache(maxsize=8)
+def _files(effects_dir: str | None) -> Files:
+    """What changes when a file of a user's own effects is written again."""
+    if effects_dir is None:
+        return ()
+    found = []
+    for path in sorted(FilePath(effects_dir).glob("*.py")):
+        with suppress(FileNotFoundError):  # taken away meanwhile
+            state = path.stat()
+            found.append((path.name, state.st_ino, state.st_mtime_ns, state.st_size))
+    return tuple(found)
+
+
 def _catalogue(effects_dir: str | None) -> dict[str, Effect]:
+    return _catalogue_of(effects_dir, _files(effects_dir))
+
+
+@lru_cache(maxsize=8)
+def _catalogue_of(effects_dir: str | None, _as_written: Files) -> dict[str, Effect]:
     return catalogue(FilePath(effects_dir) if effects_dir else None)
 
 
@@ -163,8 +182,14 @@ def _workspace() -> Workspace:
     return Workspace()
 
 
-@lru_cache(maxsize=16)
 def _model(effects: Values, level: str, effects_dir: str | None) -> Model:
+    return _model_of(effects, level, effects_dir, _files(effects_dir))
+
+
+@lru_cache(maxsize=16)
+def _model_of(
+    effects: Values, level: str, effects_dir: str | None, _as_written: Files
+) -> Model:
     model = Model(
         effects=tuple(effect for effect, _ in effects),
         level=level,
@@ -246,14 +271,14 @@ def _solve_specimen(task: Solve, specimen: Bulge | Tensile) -> Solved:
     slopes, names = [], []
     for name in task.by:
         value = getattr(specimen, name)
+        limit = LIMITS[f"{specimen.layer}_{name}"]  # a value may lie on it
+        high = min(value * (1 + SPECIMEN_STEP), limit.upper)
+        low = max(value * (1 - SPECIMEN_STEP), limit.lower)
         ends = [
-            run(
-                type(specimen)(**(asdict(specimen) | {name: value * factor})),
-                task.effects,
-            )
-            for factor in (1 + SPECIMEN_STEP, 1 - SPECIMEN_STEP)
+            run(type(specimen)(**(asdict(specimen) | {name: moved})), task.effects)
+            for moved in (high, low)
         ]
-        slopes.append((ends[0] - ends[1]) / (2 * SPECIMEN_STEP * value))
+        slopes.append((ends[0] - ends[1]) / (high - low))
         names.append(name)
     known = _catalogue(task.effects_dir)
     for effect, given in task.effects:

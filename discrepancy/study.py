@@ -22,13 +22,14 @@ from datagen.errors import EffectError, InputError
 from datagen.specimens import Tensile
 
 from .calibration import Calibrations
+from .columns import NUMBERS
 from .emulator import Emulator
 from .hypotheses import Null, Present
 from .measurement import Curve, Measurements
 from .noise import Readings
 from .paths import Paths
 from .prior import EVEN, Prior
-from .repeats import ENOUGH, noise_from_repeats
+from .repeats import ENOUGH, at_rest_alone, noise_from_repeats
 from .solves import Solve, Solved, Solver
 from .target import Prediction
 from .unknown import shapes_of
@@ -167,6 +168,11 @@ class Study:
                 "all of them",
                 f"pressures that the baseline reaches: of {self.warnings[0]}",
             )
+        there &= self._heard()
+        if not there.any():
+            raise InputError(
+                "readings", "at rest alone", "some under load, or their noise (_std)"
+            )
         self.cells = [one for one, ok in zip(self.cells, there, strict=True) if ok]
         self.shift = (values - quick)[there]
         self.readings = self._readings(values[there])
@@ -174,6 +180,18 @@ class Study:
         off: tuple[str, ...] = ()
         self._nodes[off, ()] = self._node(off, np.zeros(0), fast)
         self.base = self._nodes[off, ()].values + self.shift
+
+    def _heard(self) -> Array:
+        """(n,) mask of readings of whose noise anything is known."""
+        silent = at_rest_alone(self.measurements, self.cells)
+        self.warnings += [
+            f"{NUMBERS[name].name} of each {specimen} is read at rest alone, without "
+            "its noise (_std), and left out"
+            for specimen, name in silent
+        ]
+        curves = self.measurements.curves
+        kinds = ((curves[c].specimen, curves[c].outputs[m]) for c, _, m in self.cells)
+        return np.array([kind not in silent for kind in kinds])
 
     def _readings(self, baseline: Array) -> Readings:
         """The readings (n,) beside what the baseline says of them, SI."""
@@ -264,20 +282,7 @@ class Study:
 
     def blind(self, name: str) -> str:
         """Why these readings cannot show an effect, empty where they may."""
-        for p in self.paths.traits.known[name].parameters:
-            if p.scale == "integer":
-                return f"its {p.name} is a whole number, which cannot be fitted"
-        curves = self.measurements.curves
-        timeless = [curve for curve in curves if curve.time is None]
-        if not timeless or not self.paths.traits.timed(name):
-            return ""
-        if len(timeless) == len(curves):
-            return "it depends on time, and no reading has one (column time_s)"
-        first = timeless[0]
-        return (
-            f"it depends on time, and device {first.device}, run {first.run}, has none "
-            "(column time_s)"
-        )
+        return self.paths.blind(name)
 
     def priors(self, names: Sequence[str]) -> tuple[Prior, ...]:
         """Priors of the parameters of some effects, named ``effect.parameter``."""

@@ -36,8 +36,16 @@ MISSING = {"nan", "na", "n/a", "#n/a", "#nv", "-", "none", "null"}
 ENOUGH = 3
 """Known columns by which the headings are told from the lines of a title."""
 
+FOLDED = 5
+"""Lines that a heading may run over in its quotation marks."""
+
 TITLE = 40
 """Lines that a title may have."""
+
+
+MOST = 200
+"""Problems after which a file is read no further: a column in the wrong place is one
+in every line, and they all stay in memory."""
 
 
 class MeasurementError(FileError):
@@ -59,7 +67,10 @@ class MeasurementError(FileError):
             places = list(dict.fromkeys(p.rpartition(":")[2] for p, _ in problems[1:]))
             shown = ", ".join(places[:8]) + (", ..." if len(places) > 8 else "")
             lines = "line" if len(places) == 1 else "lines"
-            more = f" (and {len(problems) - 1} more, {lines} {shown})"
+            count = f"{len(problems) - 1} more"
+            if len(problems) >= MOST:
+                count = f"at least {count}"
+            more = f" (and {count}, {lines} {shown})"
         super().__init__(place, text + more)
         self.path = str(path)
 
@@ -81,7 +92,10 @@ class Complaints:
     problems: list[tuple[str, str]] = field(default_factory=list)
 
     def add(self, place: str, text: str) -> None:
+        """Note one; at `MOST` of them all are raised at once."""
         self.problems.append((place, text))
+        if len(self.problems) >= MOST:
+            self.settle()
 
     def settle(self) -> None:
         """Raise what was collected, if anything was."""
@@ -133,6 +147,8 @@ class Table:
     warnings : tuple of str
     unknown : tuple of str
         Headings that are not known, with what they may have been meant for.
+    headings : dict of str to str
+        As they are written, by SI field name.
     """
 
     path: Path
@@ -142,6 +158,7 @@ class Table:
     decimal: str
     warnings: tuple[str, ...]
     unknown: tuple[str, ...] = ()
+    headings: dict[str, str] = field(default_factory=dict)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -169,8 +186,13 @@ def decode(path: Path, data: bytes) -> tuple[str, list[str]]:
 
 
 def lines_of(path: Path, text: str, separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Numbers and stripped fields of the lines that are not empty."""
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    """Numbers and stripped fields of the lines that are not empty.
+
+    A field in quotation marks may run over several lines, unless there is a separator
+    in it as well: then it may be that a mark is lost, and others' fields in it.
+    """
+    content = io.StringIO(text, newline="")
+    reader = csv.reader(content, delimiter=separator, skipinitialspace=True)
     before = 0
     try:
         for fields in reader:
@@ -179,22 +201,37 @@ def lines_of(path: Path, text: str, separator: str) -> Iterator[tuple[int, list[
                 reader.line_num - before,
                 reader.line_num,
             )
-            if lines > 1:
-                words = 'a field runs over several lines: a " is not closed'
-                raise FileError(f"{path}:{number}", words)
-            stripped = [one.strip() for one in fields]
+            if lines > 1 and not _closed(fields, separator):
+                words = f'a field with {separator!r} in it runs over several lines: a "'
+                raise FileError(f"{path}:{number}", f"{words} may not be closed")
+            stripped = [_on_one_line(one) for one in fields]
             if any(stripped):
                 yield number, stripped
     except csv.Error as error:
         raise FileError(f"{path}:{before + 1}", f"not CSV: {error}") from error
 
 
-def _split(path: Path, number: int, line: str, separator: str) -> list[str]:
-    """Fields of one line."""
+def _closed(fields: list[str], separator: str) -> bool:
+    """Whether no field that runs over several lines has a separator in it."""
+    return not any(re.search(r"[\r\n]", one) and separator in one for one in fields)
+
+
+def _on_one_line(field: str) -> str:
+    return re.sub(r"\s*[\r\n]+\s*", " ", field.strip())
+
+
+def _split(path: Path, number: int, lines: list[str], separator: str) -> list[str]:
+    """Fields of a line, and of those below it where a field in it runs on."""
     try:
-        return [one.strip() for one in next(csv.reader([line], delimiter=separator))]
+        content = (f"{line}\n" for line in lines)
+        reader = csv.reader(content, delimiter=separator, skipinitialspace=True)
+        fields = next(reader)
+        runs_on = reader.line_num > 1
+        if runs_on and (reader.line_num > FOLDED or not _closed(fields, separator)):
+            fields = next(csv.reader(lines[:1], delimiter=separator))
     except csv.Error as error:
         raise FileError(f"{path}:{number}", f"not CSV: {error}") from error
+    return [_on_one_line(one) for one in fields]
 
 
 def _known(heading: str) -> bool:
@@ -212,12 +249,14 @@ def _headings(path: Path, text: str) -> tuple[str, int, list[str], int]:
     """
     first: tuple[str, int, list[str], int] | None = None
     # Not by `splitlines`, which knows ends of lines that CSV does not.
-    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+    lines = re.split(r"\r\n|\r|\n", text)
+    for number, line in enumerate(lines, 1):
         if re.fullmatch(r"sep=.?", line.strip(), re.IGNORECASE):
             continue  # a spreadsheet's own note on the separator
         if not line.strip(" \t,;") or line.lstrip(' \t"').startswith("#"):
             continue
-        split = {s: _split(path, number, line, s) for s in SEPARATORS}
+        here = lines[number - 1 : number + FOLDED]
+        split = {s: _split(path, number, here, s) for s in SEPARATORS}
         known = {s: sum(map(_known, split[s])) for s in SEPARATORS}
         best = max(SEPARATORS, key=known.__getitem__)
         if known[best] >= ENOUGH:
@@ -318,7 +357,7 @@ def read_table(path: Path, data: bytes) -> Table:
             "is a separator lost?"
         )
     decimal = decimal_sign(path, rows)
-    told = tuple(warnings), tuple(unknown)
+    told = tuple(warnings), tuple(unknown), first
     return Table(path, place, factors, tuple(rows), decimal, *told)
 
 

@@ -234,6 +234,8 @@ class Workspace:
         ready : callable, optional
             As `Ready`.
 
+        What was in use before is forgotten where ``current.json`` is damaged.
+
         Raises
         ------
         FileError, InputError
@@ -241,9 +243,13 @@ class Workspace:
         """
         with self._locked():
             name = BASELINE if text == BASELINE else self._usable(text, ready)
-            history = self._history()
-            if history[-1] != name:
-                self._write([*history, name])
+            try:
+                history = self._history()
+            except FileError:  # damaged: what is put into use repairs it
+                history = []
+            if not history or history[-1] != name:
+                before = history or [BASELINE]
+                self._write(before if before[-1] == name else [*before, name])
             return name
 
     def undo(self, ready: Ready | None = None) -> str:

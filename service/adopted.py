@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from datagen.effects import catalogue
-from datagen.errors import FileError
+from datagen.errors import FileError, InputError
 from datagen.model import GENERATOR_VERSION
-from discrepancy.adopt import Adoption, joined
+from discrepancy.adopt import Adoption, joined, refuse
 from discrepancy.adopt import adopt as fit
 from discrepancy.folder import effects_of, vacant
 from discrepancy.layout import BASELINE, is_version
 from discrepancy.measurement import Measurements
+from discrepancy.paths import Paths
 from discrepancy.provenance import source_digest
 from discrepancy.solves import Solver
 from discrepancy.study import Study
@@ -128,6 +129,7 @@ def adopted(
     if home is not None:
         home.make()
     lineage = _lineage(parent, measured)
+    possible(names, measured, parent, effects_dir)
     written = made_before(folder, names, measured, parent, level, seed, effects_dir)
     if written is None:
         vacant(folder)
@@ -153,13 +155,31 @@ def adopted(
     return Adopted(made, version, home, home is not None and use, tuple(lineage), page)
 
 
+def possible(
+    names: Sequence[str],
+    measured: Sequence[Measurements],
+    parent: ModelVersion | None,
+    effects_dir: Path | None = None,
+) -> None:
+    """Refuse, before anything is solved, what cannot be adopted.
+
+    Raises
+    ------
+    EffectError, InputError
+        As `discrepancy.adopt.refuse`.
+    """
+    with effects_of(parent, effects_dir) as own:
+        known = catalogue(own)
+        refuse(_all(names, parent), known, Paths(joined(measured), known, own))
+
+
 def _inherited(version: ModelVersion, parent: ModelVersion | None) -> list[str]:
     """Give a version its parent's surrogate where that serves; what failed, a line."""
     from .surrogates import hand_on
 
     try:
         hand_on(version, parent)
-    except FileError as error:
+    except (FileError, InputError) as error:  # the latter while it is being trained
         return [f"the parent's surrogate is not taken over: {error}"]
     return []
 

@@ -212,13 +212,13 @@ class Switch:
         try:
             folder = self.workspace.folder / self.workspace.current_name
             seen[folder] = _state(folder)
-            whole = {path: _state(path) for path in folder.rglob("*")}
+            whole = _inside(folder)
             entry = self.workspace.current()
             serving: Serving | None = self._base
             if entry is not None and entry.version is not None:
                 serving = self._with(entry.name, entry.version)
                 problem = serving.problem
-        except PbaError as error:
+        except (PbaError, OSError) as error:  # also what goes while it is read
             problem, serving = f"the model in use cannot be read: {error}", None
             if self._serving is not None:
                 problem += f"; {self._serving.name} goes on answering"
@@ -248,6 +248,15 @@ class Switch:
             bool(problem),
             problem,
         )
+
+
+def _inside(folder: Path) -> dict[Path, object]:
+    """`_state` of all that is in a folder; what goes meanwhile may be in it or not."""
+    return {
+        Path(at, name): _state(Path(at, name))
+        for at, folders, files in os.walk(folder)
+        for name in (*folders, *files)
+    }
 
 
 def _state(path: Path) -> tuple[int, ...] | None:

@@ -6,6 +6,7 @@ A file's id is the beginning of its bytes' hash: what is sent twice is kept once
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import shutil
 import uuid
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.atomic import TEMPORARY, reason
+from datagen.atomic import TEMPORARY, reason, sync
 from datagen.errors import FileError, InputError, PbaError
 from discrepancy.columns import NUMBERS
 from discrepancy.measurement import Measurements, Tolerances
@@ -29,8 +30,8 @@ LENGTH = 16
 
 ID = re.compile(rf"[0-9a-f]{{{LENGTH}}}")
 
-LONGEST = 100
-"""Characters of a file's name."""
+LONGEST, WIDEST = 100, 200
+"""Characters of a file's name, and bytes: file systems have room for 255."""
 
 NAMELESS = "measurements.csv"
 """Of a file that was sent without a name."""
@@ -66,7 +67,8 @@ class MeasurementFiles:
         """
         if not name or own_name(name) != name:
             allowed = (
-                f"1 to {LONGEST} characters that can be seen, no / or \\, no . first"
+                f"1 to {LONGEST} characters that can be seen, at most {WIDEST} bytes, "
+                "no / or \\, no . first"
             )
             raise InputError("name", name, allowed)
         if Path(name).suffix.lower() in PROBLEM_FILES:
@@ -74,20 +76,35 @@ class MeasurementFiles:
             allowed = "a table; PEtab problems are read by the commands, not sent"
             raise InputError("name", name, allowed)
         identity = hashlib.sha256(content).hexdigest()[:LENGTH]
-        if (self.folder / identity).is_dir():
+        if self._is_kept(identity, content):
             return identity
         aside = self.folder / f"{uuid.uuid4().hex}{TEMPORARY}"
         try:
             aside.mkdir(parents=True)
             (aside / name).write_bytes(content)
             _check(aside / name)
+            sync(aside / name)
+            sync(aside)
             aside.rename(self.folder / identity)
+            sync(self.folder)
         except OSError as error:
-            if not (self.folder / identity).is_dir():  # sent twice at a time
+            if not self._is_kept(identity, content):  # sent twice at a time
                 raise FileError(name, f"cannot be kept: {reason(error)}") from error
         finally:
             shutil.rmtree(aside, ignore_errors=True)
         return identity
+
+    def _is_kept(self, identity: str, content: bytes) -> bool:
+        """Whether a file is there and whole; what is left of one that is not, goes."""
+        try:
+            if self.path(identity).read_bytes() == content:
+                return True
+        except (MeasurementsNotFound, FileNotFoundError):  # removed meanwhile
+            pass
+        except OSError:
+            return False
+        shutil.rmtree(self.folder / identity, ignore_errors=True)
+        return False
 
     def path(self, identity: str) -> Path:
         """The file with this id.
@@ -100,7 +117,7 @@ class MeasurementFiles:
             with suppress(FileNotFoundError):  # removed meanwhile
                 for file in (self.folder / identity).iterdir():
                     return file
-        raise MeasurementsNotFound(f"no measurements have the id {identity!r}")
+        raise _not_found(identity)
 
     def all(self) -> Iterator[str]:
         """Ids, the newest first."""
@@ -127,7 +144,10 @@ class MeasurementFiles:
         """
         folder = self.path(identity).parent
         gone = self.folder / f"{uuid.uuid4().hex}{TEMPORARY}"
-        folder.rename(gone)
+        try:
+            folder.rename(gone)
+        except FileNotFoundError:  # twice at a time
+            raise _not_found(identity) from None
         shutil.rmtree(gone, ignore_errors=True)
 
     def describe(self, identity: str) -> dict[str, Any]:
@@ -138,7 +158,13 @@ class MeasurementFiles:
         MeasurementsNotFound
         """
         path = self.path(identity)
-        return {"id": identity, "name": path.name} | about(read_measurements(path))
+        try:
+            found = about(read_measurements(path))
+        except FileError:
+            if path.exists():
+                raise
+            raise _not_found(identity) from None  # removed meanwhile
+        return {"id": identity, "name": path.name} | found
 
 
 def own_name(name: str) -> str:
@@ -148,7 +174,11 @@ def own_name(name: str) -> str:
     """
     last = re.split(r"[\\/]", name)[-1].lstrip(".").strip()
     seen = "".join(sign if sign.isprintable() else "_" for sign in last)
-    return seen[:LONGEST]
+    return os.fsencode(seen[:LONGEST])[:WIDEST].decode(errors="ignore")
+
+
+def _not_found(identity: str) -> MeasurementsNotFound:
+    return MeasurementsNotFound(f"no measurements have the id {identity!r}")
 
 
 def _age(folder: Path) -> float:

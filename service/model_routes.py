@@ -16,7 +16,7 @@ from discrepancy.layout import BASELINE, is_version
 from discrepancy.version import ModelVersion
 from discrepancy.workspace import UnknownModel, Workspace, place
 
-from .adopted import made_before
+from .adopted import made_before, possible
 from .adoption import version_json, version_row
 from .answer import COVERAGE
 from .bench import plain
@@ -26,6 +26,8 @@ from .discrepancy_tasks import measured_of
 from .jobs import Job, payload_key
 from .routes import ACCEPTED, BODY, Service, Shared, accepted, errors, known_effects
 from .schemas import AdoptionIn, JobOut, SurrogateIn, UseIn
+from .surrogates import about as told
+from .surrogates import load
 
 router = APIRouter(responses=errors(422, 500))
 
@@ -162,11 +164,16 @@ def train(name: str, body: SurrogateIn, service: Shared) -> Response:
     restart = {"restart": uuid.uuid4().hex if body.restart else ""}
     payload = about | body.model_dump() | restart
     key = payload_key(payload, "surrogate", service.release)
-    return accepted(
-        service.store.submit(
-            "surrogate", payload, key, lambda _done: version.surrogate is not None
-        )
-    )
+
+    def stands(done: Job) -> bool:
+        """Whether the surrogate is the one that the job has left."""
+        try:
+            trained = load(version)
+        except FileError:  # damaged since
+            return False
+        return trained is not None and plain(told(trained)) == done.result
+
+    return accepted(service.store.submit("surrogate", payload, key, stands))
 
 
 @router.post(
@@ -181,11 +188,11 @@ def adopt(body: AdoptionIn, service: Shared) -> Response:
     The new version is in the workspace under `model` when the job is done, in use
     where `use` says so; the report, one HTML page, is then at ``/v1/jobs/ID/file``.
     """
-    known_effects(body.effects)
     home = service.switch.workspace
     parent = None
     if body.on and not service.switch.is_base(body.on):
         parent = home.find(body.on, "on").version
+    known_effects(body.effects, () if parent is None else parent.effects)
     payload = payload_of(body, service) | {
         "effects": body.effects,
         "workspace": str(home.folder),
@@ -194,7 +201,7 @@ def adopt(body: AdoptionIn, service: Shared) -> Response:
         "use": body.use,
     }
     _refuse_taken(payload, home, parent)
-
+    possible(body.effects, measured_of(payload), parent)
     folder = home.folder / body.model
 
     def stands(done: Job) -> bool:

@@ -150,7 +150,11 @@ def models_train(
     workers: Workers = None,
     restart: Annotated[
         bool,
-        Option("--restart", help="Begin anew: discard what was begun or is there."),
+        Option(
+            "--restart",
+            help="Begin anew: discard what was begun or is there. Once more where that "
+            "was stopped: go on.",
+        ),
     ] = False,
     workspace: WorkspaceDir = None,
     as_json: AsJson = False,

@@ -6,7 +6,7 @@ import asyncio
 import datetime
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +17,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import FileResponse, JSONResponse, Response
 
 from datagen.device import CASES, DESIGN_SPACE, MATERIALS, MM, UM, Design, named_device
-from datagen.errors import FileError, InputError
+from datagen.errors import InputError
 from datagen.response import OUTPUTS
 from datagen.units import BY_FIELD
 
@@ -247,8 +247,8 @@ def effects() -> dict[str, Any]:
     return {"effects": plain(rows)}
 
 
-def known_effects(names: list[str]) -> None:
-    """Refuse names that the catalogue has not, or that come twice.
+def known_effects(names: list[str], own: Sequence[str] = ()) -> None:
+    """Refuse names that neither the catalogue nor `own` has, or that come twice.
 
     Raises
     ------
@@ -256,7 +256,7 @@ def known_effects(names: list[str]) -> None:
     """
     from datagen.effects import catalogue
 
-    known = catalogue()
+    known = [*catalogue(), *(name for name in own if name not in catalogue())]
     for name in names:
         if name not in known:
             raise InputError("effects", name, ", ".join(known))
@@ -309,7 +309,7 @@ def job_file(job_id: str, service: Shared) -> FileResponse:
         raise JobNotFound(f"job {job_id!r} has no file (yet)")
     path = Path(result["file"])
     if not path.is_file():
-        raise FileError(path.name, "is no longer in the state folder")
+        raise JobNotFound(f"job {job_id!r}: {path.name} is no longer there")
     return FileResponse(path, filename=f"{job_id}{path.suffix}")
 
 

@@ -165,8 +165,9 @@ def learn(
     resume : bool
         Go on with what an earlier run with the same settings has left.
     restart : str, optional
-        Name of a new beginning: what another has left is discarded, a model that is
-        there once the new one is complete.  The same name again goes on.
+        Name of a new beginning: what an earlier run has left is discarded, a model that
+        is there once the new one is complete.  The same name again goes on; so does
+        another one where a new beginning with the same settings was stopped.
     report : callable, optional
         As `Report`.
     settings : ChangeSettings
@@ -195,6 +196,8 @@ def learn(
         base, dataset, space, near, seed, samples, paths, minutes, settings
     ) | {"effects_dir": _sources(effects_dir)}
     with _alone(folder):
+        if not folder.exists() and (work / FORMER).exists():
+            os.replace(work / FORMER, folder)  # killed while the new one took its name
         if folder.exists() and not (restart and _beginning(folder) != restart):
             return _finished(folder, work, wanted, resume or bool(restart))
         begun = _begin(work, wanted, resume, restart)
@@ -449,7 +452,10 @@ def _begin(
     """The working folder; what an earlier run has written there of its plan."""
     path = work / PLAN
     if restart:
-        if _plan_in(path).get("restart") != restart:
+        left = _plan_in(path)
+        anew = left.get("restart", "")  # what is left is of a new beginning, too
+        same = bool(anew) and all(left.get(k) == v for k, v in wanted.items())
+        if anew != restart and not same:
             shutil.rmtree(work, ignore_errors=True)
     elif work.exists() and not resume:
         raise _refusal(work)
@@ -489,8 +495,10 @@ def _finished(
         raise _refusal(folder)
     model = Corrected.load(folder)
     _check_same(wanted, model.description.get("request", {}), folder)
-    shutil.rmtree(work, ignore_errors=True)  # killed in the clean-up
-    return model
+    begun = _plan_in(work / PLAN).get("restart", "")
+    if begun in ("", model.description.get("restart", "")):
+        shutil.rmtree(work, ignore_errors=True)  # killed in the clean-up
+    return model  # a new beginning that was stopped can still go on
 
 
 def _refusal(existing: Path) -> InputError:

@@ -177,6 +177,8 @@ def test_bad_user_files_are_named_in_one_line(tmp_path: FilePath) -> None:
         catalogue(tmp_path)
     with pytest.raises(EffectError, match="no such folder"):
         catalogue(tmp_path / "nowhere")
+    with pytest.raises(EffectError, match="no such folder"):  # though none is named
+        Model(effects_dir=tmp_path / "none")
 
 
 def test_mistakes_at_import_are_named_in_one_line(tmp_path: FilePath) -> None:

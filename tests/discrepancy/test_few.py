@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from datagen.device import named_device
+from datagen.errors import InputError
 from datagen.model import Model
 from datagen.specimens import Bulge
 from discrepancy.adopt import adopt
@@ -25,10 +26,11 @@ from discrepancy.experiment import (
     proposals,
 )
 from discrepancy.heldout import held_out
-from discrepancy.measurement import Curve
+from discrepancy.measurement import Curve, Measurements
 from discrepancy.missing import CLAIM
 from discrepancy.rank import Search
 from discrepancy.regions import regions
+from discrepancy.repeats import at_rest_alone
 from discrepancy.report import report
 from discrepancy.version import ModelVersion
 from tests.discrepancy import synthetic
@@ -81,6 +83,35 @@ def test_strips_with_and_without_stated_noise(cache: Path) -> None:
     ranking = Search(here).run()
     assert ranking.verdict == "identified"
     assert ranking.effects == ("strain_stiffening",)
+
+
+def test_what_is_read_at_rest_alone_accuses_nothing(cache: Path) -> None:
+    """Nothing tells its noise, and the baseline is zero there."""
+    still = replace(
+        strip("T0", stated=False),
+        load=np.ones(1),
+        branch=np.array(["loading"]),
+        values=np.array([[2e3]]),
+        std=np.array([[np.nan]]),
+    )
+    with pytest.raises(InputError, match="readings: 'at rest alone' is not allowed"):
+        study([still], cache)
+    assert compare(study([replace(still, std=np.array([[2e3]]))], cache)).p_value > 0.1
+    # With others under load its noise is guessed from theirs.
+    assert len(study([still, strip("T1", stated=False)], cache).readings.value) == 10
+    device = replace(
+        still,
+        device="S1",
+        design=named_device("S1"),
+        load=np.array([0.0, 10e3]),
+        branch=np.array(["loading"] * 2),
+        outputs=("tip_deflection", "inflation"),
+        values=np.array([[1e-6, 1e-6], [np.nan, 1e-4]]),
+        std=np.full((2, 2), np.nan),
+    )
+    cells = [(0, 0, 0), (0, 0, 1), (0, 1, 1)]
+    found = at_rest_alone(Measurements((device,)), cells)
+    assert found == (("actuator", "tip_deflection"),)
 
 
 def test_noise_is_told_as_it_was_found(cache: Path) -> None:

@@ -8,14 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.device import named_device
+from datagen.device import LIMITS, named_device
 from datagen.effects import catalogue
 from datagen.errors import FileError
+from datagen.specimens import Bulge, Tensile
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.paths import RESTED, Paths
 from discrepancy.rank import Search
-from discrepancy.solves import Solver, _solve_as
+from discrepancy.solves import Solve, Solver, _model, _solve_as, solve, values_of
 from discrepancy.study import Study
+
+from .versions import OWN, own_folder
 
 LOAD = np.array([10e3, 20e3, 10e3])
 FIRST = Curve(
@@ -58,6 +61,13 @@ def test_a_device_that_was_turned_over_remembers_all_the_same() -> None:
     over = replace(SECOND, orientation=np.pi)
     assert len(paths(FIRST, over).load(1, ("mullins",))[0]) == 8
     assert len(paths(FIRST, over).load(1, ("yeoh",))[0]) == 2
+
+
+def test_a_device_that_was_turned_over_within_a_run_remembers_too() -> None:
+    over = replace(FIRST, orientation=np.pi, time=SECOND.time)
+    for name in ("mullins", "viscoelasticity"):
+        assert paths(FIRST, over).load(0, (name,))[0] == tuple(LOAD)
+        assert paths(FIRST, over).load(1, (name,))[0] == (*LOAD, 0.0, 0.0, *LOAD)
 
 
 def test_runs_without_times_are_in_turn_too() -> None:
@@ -132,6 +142,33 @@ def test_a_cache_that_cannot_be_kept_is_told_before_the_solve(tmp_path: Path) ->
         FileError, match=r"taken: solves cannot be kept here: .*--cache"
     ):
         Solver(1, taken).all([paths(FIRST).task(0, "draft")])
+
+
+def test_an_effect_that_is_edited_is_another_one(tmp_path: Path) -> None:
+    """In one process, as in a notebook: neither its name nor its answer is the old."""
+    own = own_folder(tmp_path)
+    effects = values_of({"shrunk_roof": {"shrinkage": 0.001}})
+    task = replace(paths(FIRST).task(0, "draft"), effects=effects, effects_dir=str(own))
+    before, key = _model(effects, "draft", str(own)).active, task.key
+    assert task.key == key
+    own_folder(own, OWN + "\n# refined\n")
+    assert task.key != key
+    assert _model(effects, "draft", str(own)).active != before
+
+
+def test_a_specimen_may_lie_on_a_limit(tmp_path: Path) -> None:
+    """Its derivatives are taken inside."""
+    edge = LIMITS["upper_modulus"].upper
+    stretch = (1.0, 1.1, 1.2)
+    ends = [Tensile(edge * factor) for factor in (1.0, 0.5)]
+    at, below = (
+        solve(Solve(one, stretch, None, (), "draft", ("modulus",))) for one in ends
+    )
+    np.testing.assert_allclose(at.jacobian, below.jacobian, rtol=1e-6)
+    limit = LIMITS["upper_thickness"].lower
+    thin = Bulge(4e-3, 1e-3, limit, 2e6)
+    found = solve(Solve(thin, (1e3,), None, (), "draft", ("modulus", "thickness")))
+    assert found.status == "completed" and np.isfinite(found.jacobian).all()
 
 
 def test_a_worker_refuses_another_effect_than_it_was_sent_for(tmp_path: Path) -> None:

@@ -404,7 +404,7 @@ def test_what_stands_twice_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("observableId\t", '"observableId\t', 'a " is not closed'),
+        ("observableId\t", '"observableId\t', 'a " may not be closed'),
         ("noiseParameters", "measurement", "'measurement' stands there twice"),
         ("\n", "\tsurplus\n", "fields, but"),
     ],

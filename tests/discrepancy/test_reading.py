@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from datagen.device import named_device
+from datagen.errors import FileError
 from datagen.specimens import Bulge, Tensile
 from discrepancy.measurement import Tolerances
 from discrepancy.reading import MeasurementError, read_measurements
+from discrepancy.table import MOST
 
 from .benches import LOADS, rows, text_of, write
 
@@ -416,7 +418,9 @@ def test_a_specimen_that_states_both_layers_is_of_the_upper_one(tmp_path: Path) 
         ),
         (
             [{}, {"run": "2", "inflation_mm": "", "tip_deflection_mm": ""}],
-            "bench.csv:3: device 'S1', run 2 has no measured value and is left out",
+            "bench.csv:3: device 'S1', run 2 has no measured value and is left out: "
+            "effects that remember do not know of its loads. One reading, as at rest, "
+            "keeps them",
         ),
         (
             [{"pressure_kPa": "0.05"}],
@@ -450,6 +454,57 @@ def test_a_remark_that_a_spreadsheet_has_quoted(tmp_path: Path) -> None:
     path = tmp_path / "bench.csv"
     path.write_text('"# measured by Meier, Bonn",,,\n' + text_of(rows(*LOADS)))
     assert read_measurements(path).readings == 6
+
+
+def test_fields_in_quotation_marks_may_run_over_lines(tmp_path: Path) -> None:
+    """Alt+Enter in a spreadsheet: in a title, in headings and in remarks."""
+    text = text_of(rows(*({"note": '"the lamp\nwas on"'} | load for load in LOADS)))
+    plain = read_measurements(write(tmp_path, *LOADS))
+    text = text.replace("pressure_kPa", '"pressure\n[kPa]"')
+    file = tmp_path / "odd.csv"
+    for title in ("", '"Bench\nof Monday"\n', 'Bench 3" wide\n'):
+        for end in ("\n", "\r\n"):
+            file.write_text((title + text).replace("\n", end), newline="")
+            found = read_measurements(file)
+            assert found.curves[0].load.tolist() == plain.curves[0].load.tolist()
+            np.testing.assert_array_equal(
+                found.curves[0].values, plain.curves[0].values
+            )
+
+
+def test_a_blank_before_a_quotation_mark(tmp_path: Path) -> None:
+    """As some programs write them; a decimal comma in one parts no fields."""
+    names, *values = text_of(rows(*LOADS)).splitlines()
+    lines = [", ".join(f'"{one}"' for one in names.split(","))]
+    for line in values:
+        quoted = (f'"{one.replace(".", ",")}"' for one in line.split(","))
+        lines.append(", ".join(quoted))
+    file = tmp_path / "quoted.csv"
+    file.write_text("\n".join(lines) + "\n")
+    plain = read_measurements(write(tmp_path, *LOADS))
+    np.testing.assert_array_equal(
+        read_measurements(file).curves[0].values, plain.curves[0].values
+    )
+
+
+def test_noise_of_a_tip_that_hardly_moves(tmp_path: Path) -> None:
+    """Two bendings cancel: it is small on one device, or on all of them."""
+    still = {"tip_deflection_mm": "0.001", "tip_deflection_std_mm": "0.005"}
+    assert read_measurements(write(tmp_path, still)).curves[0].std[0, 0] == 5e-6
+    large = still | {"tip_deflection_std_mm": "0.07"}
+    with pytest.raises(FileError, match=r"from 0 to 0\.065 mm \(1% of the strip's"):
+        read_measurements(write(tmp_path, large))
+    other = {"device": "B", "tip_deflection_mm": "0.5"}
+    assert len(read_measurements(write(tmp_path, large, other)).curves) == 2
+
+
+def test_a_file_that_is_wrong_everywhere_is_read_no_further(tmp_path: Path) -> None:
+    wrong = [{"pressure_kPa": "x", "inflation_mm": "y"}] * 1000
+    with pytest.raises(
+        MeasurementError, match=r"and at least 199 more, lines 2, 3"
+    ) as e:
+        read_measurements(write(tmp_path, *wrong))
+    assert len(e.value.problems) == MOST
 
 
 def test_a_line_that_is_too_short_is_told(tmp_path: Path) -> None:

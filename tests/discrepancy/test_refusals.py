@@ -113,7 +113,7 @@ REFUSED: dict[str, tuple[list[dict[str, str]], int, str]] = {
         [{}, {"pressure_kPa": "20", "inflation_std_mm": "2"}],
         3,
         "inflation_std_mm: 2 mm is not allowed; allowed: a number from 0 to 0.33 mm (3 "
-        "times the largest inflation_mm of the device); probably meant in um: 2 um is "
+        "times the largest inflation_mm of the file); probably meant in um: 2 um is "
         "0.002 mm",
     ),
     "half a balloon": (
@@ -306,7 +306,23 @@ def test_all_problems_are_counted_and_kept(tmp_path: Path) -> None:
             "inflation_mm: '1,234' has a decimal comma, but '6.5' in line 2 a decimal "
             "point",
         ),
-        (text_of(rows({"device": '"S1'}, *LOADS)), ":2", 'a " is not closed'),
+        (text_of(rows({"device": '"S1'}, *LOADS)), ":2", 'a " may not be closed'),
+        (
+            text_of(rows({"note": '"left\nrim"'}, {"pressure_kPa": "2e4"})),
+            ":4",
+            "pressure_kPa: 20000 kPa is not allowed",
+        ),
+        (
+            text_of(rows({"pressure_kPa": "0.5bar"})).replace("_kPa", "_bar"),
+            ":2",
+            "pressure_bar: '0.5bar' is not allowed; allowed: a plain number, or",
+        ),
+        (
+            text_of(rows({"inflation_mm": "2000000"})).replace("ion_mm", "ion_um"),
+            ":2",
+            "inflation_mm: 2000 mm is not allowed; allowed: a number from -60 to 60 "
+            "mm; written as 2000000 in column inflation_um",
+        ),
         (
             text_of(rows({"": "7"})),
             ":2",
@@ -321,6 +337,9 @@ def test_all_problems_are_counted_and_kept(tmp_path: Path) -> None:
         "decimal comma between commas",
         "thousands",
         "open quote",
+        "line after one that runs on",
+        "words in a unit of the file's own",
+        "too large in a unit of the file's own",
         "no heading",
         "spreadsheet file",
     ],

@@ -112,3 +112,19 @@ def test_a_quantity_may_be_missing_in_the_first_run() -> None:
         assert set(noise_from_repeats(Measurements(order))) == {
             ("actuator", "inflation")
         }
+
+
+def test_angles_that_were_rounded_away_tell_no_noise() -> None:
+    """Written in degrees, they are no round numbers in radians."""
+    rng = np.random.default_rng(4)
+    whole = runs(3, rng, 0.0)
+    for unit, name in ((np.pi / 180, "bending_angle"), (1.0, "bending_angle")):
+        for scatter, told in ((0.02, False), (2.0, True)):
+            true = np.linspace(3.0, 21.0, len(LOAD))
+            curves = []
+            for curve in whole.curves:
+                read = np.round(true + scatter * rng.standard_normal(len(LOAD)))
+                values = (unit * 10 * read)[:, None]
+                curves.append(replace(curve, outputs=(name,), values=values))
+            found = noise_from_repeats(Measurements(tuple(curves)))
+            assert (("actuator", name) in found) is told

@@ -22,7 +22,7 @@ from datagen.mesh import UPPER
 from datagen.model import Model
 from discrepancy.folder import effects_of
 from discrepancy.ladder import Rung
-from discrepancy.layout import MODEL, is_version
+from discrepancy.layout import BASELINE, MODEL, is_version
 from discrepancy.version import ModelVersion
 from discrepancy.workspace import CURRENT, LOCK, Workspace, locate, place
 from surrogate.learn import _alone
@@ -414,10 +414,15 @@ def test_a_damaged_version_is_listed_and_can_be_removed(home: Workspace) -> None
 )
 def test_a_damaged_current_is_one_line(home: Workspace, text: str) -> None:
     (home.folder / CURRENT).write_text(text)
-    for act in (home.current, home.undo, lambda: home.use("a")):
+    for act in (home.current, home.undo):
         with pytest.raises(FileError) as caught:
             act()
         assert CURRENT in str(caught.value) and "\n" not in str(caught.value)
+    # Whatever is put into use repairs it.
+    assert home.use("a") == home.current_name == "a"
+    assert home.undo() == BASELINE
+    (home.folder / CURRENT).write_text(text)
+    assert home.use(BASELINE) == home.current_name == BASELINE
 
 
 def test_where_a_version_goes(home: Workspace, tmp_path: Path) -> None:

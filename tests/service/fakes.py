@@ -163,7 +163,7 @@ def adopt(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
 
 def surrogate(payload: Mapping[str, Any], report: Report) -> dict[str, Any]:
     """Task: an empty folder where the surrogate would be."""
-    (FilePath(payload["folder"]) / "surrogate").mkdir()
+    (FilePath(payload["folder"]) / "surrogate").mkdir(exist_ok=True)
     return {"version": payload["version"]}
 
 

@@ -14,7 +14,7 @@ from datagen.errors import InputError
 from discrepancy.writing import measurements_text
 from service.app import KINDS, Settings, create_app
 from service.discrepancy_tasks import measured_of
-from service.measurements import MeasurementFiles
+from service.measurements import MeasurementFiles, MeasurementsNotFound
 from tests.discrepancy.made import MISMATCH, measured
 from tests.service.fakes import FakeSurrogate
 
@@ -179,6 +179,7 @@ def test_ranking_and_its_report(client: TestClient, identity: str) -> None:
         ("测量.csv", "测量.csv"),
         ("C:\\data\\bench 2.csv", "bench 2.csv"),
         (f"{'x' * 200}.csv", "x" * 100),
+        (f"{chr(0x6E2C) * 96}.csv", chr(0x6E2C) * 66),  # three bytes each
     ],
 )
 def test_files_keep_the_names_that_people_give_them(
@@ -202,6 +203,38 @@ def test_a_file_that_goes_during_a_listing_is_not_in_it(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MeasurementFiles, "all", lambda _: iter([first, other]))
         assert len(files.names()) == 1
+
+
+def test_what_is_damaged_is_kept_anew(tmp_path: Path, csv: bytes) -> None:
+    """As a power loss may leave it."""
+    files = MeasurementFiles(tmp_path)
+    identity = files.add("a.csv", csv)
+    files.path(identity).write_bytes(b"")
+    assert files.add("b.csv", csv) == identity
+    assert files.path(identity).name == "b.csv"
+    assert files.path(identity).read_bytes() == csv
+
+
+def test_what_is_forgotten_twice_at_a_time_is_not_there(
+    tmp_path: Path, csv: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = MeasurementFiles(tmp_path)
+    identity = files.add("a.csv", csv)
+    path = files.path(identity)
+    monkeypatch.setattr(MeasurementFiles, "path", lambda *_: path)
+    files.remove(identity)
+    for late in (files.remove, files.describe):
+        with pytest.raises(MeasurementsNotFound):
+            late(identity)
+
+
+def test_a_file_that_is_wrong_everywhere_has_a_short_answer(
+    client: TestClient, csv: bytes
+) -> None:
+    heading = csv.splitlines()[0]
+    answer = client.post("/v1/measurements", content=heading + b"\nx" * 5000)
+    assert answer.status_code == 422 and len(answer.content) < 100_000
+    assert "at least" in answer.json()["error"]["message"]
 
 
 def test_forgotten(client: TestClient, csv: bytes) -> None:

@@ -17,6 +17,7 @@ from fastapi.testclient import TestClient
 
 from datagen.device import named_device
 from datagen.response import Path as LoadPath
+from discrepancy.version import ModelVersion
 from discrepancy.workspace import CURRENT, Workspace
 from discrepancy.writing import measurements_text
 from service.app import KINDS, Settings, create_app
@@ -144,6 +145,17 @@ def checked(client: TestClient) -> dict[str, Any]:
     return found
 
 
+def test_a_damaged_current_is_repaired_by_what_is_put_into_use(
+    client: TestClient, home: Workspace
+) -> None:
+    for name in ("first", "baseline"):
+        (home.folder / CURRENT).write_text("{")
+        assert CURRENT in client.get("/v1/models").json()["problem"]
+        answer = client.put("/v1/models/current", json={"model": name})
+        assert answer.status_code == 200, answer.text
+        assert client.get("/healthz").json()["problem"] == ""
+
+
 def test_a_server_started_on_a_damaged_version_does_not_answer_with_another(
     home: Workspace, tmp_path: Path
 ) -> None:
@@ -262,6 +274,9 @@ def test_adopting(client: TestClient, adoption: dict[str, Any]) -> None:
     assert client.get("/v1/models").json()["current"] == "fitted"
     page = client.get(f"/v1/jobs/{job['id']}/file")
     assert page.text.startswith("<!DOCTYPE html>")
+    Path(job["result"]["file"]).unlink()
+    gone = client.get(f"/v1/jobs/{job['id']}/file")
+    assert gone.status_code == 404 and "no longer there" in gone.text
     again = client.post("/v1/adoptions", json=adoption)
     assert again.json()["id"] == job["id"]
     other = client.post("/v1/adoptions", json=adoption | {"seed": 1})
@@ -272,6 +287,8 @@ def test_adopting(client: TestClient, adoption: dict[str, Any]) -> None:
     ("change", "field", "says"),
     [
         ({"effects": ["mullins", "mullins"]}, "effects", "each effect once"),
+        ({"effects": ["viscoelasticity"]}, "effects", "no reading has one (column"),
+        ({"effects": ["shrunk_roof"]}, "effects", "air_channel"),
         ({"model": "baseline"}, "model", "not 'baseline'"),
         ({"model": "current.json"}, "model", "'current.json'"),
         ({"model": "first"}, "model", "not taken"),
@@ -343,9 +360,31 @@ def test_a_done_adoption_counts_while_its_version_is_there_and_in_use(
     assert found is not None and again is not None and found.parent == again.version
 
 
-def test_a_done_surrogate_counts_while_it_is_there(
-    quick: TestClient, home: Workspace
+def test_an_effect_of_ones_own_is_fitted_again(
+    quick: TestClient, home: Workspace, csv: str, tmp_path: Path
 ) -> None:
+    """It is in the version that the new one is built on: no file is sent."""
+    own = own_folder(tmp_path / "effects")
+    own_version(own).save(home.folder / "own", own)
+    sent = quick.post("/v1/measurements", content=csv).json()
+    body = {"measurements": sent["id"], "effects": ["shrunk_roof"], "model": "new"}
+    assert quick.post("/v1/adoptions", json=body).status_code == 422
+    job = ended(quick, quick.post("/v1/adoptions", json=body | {"on": "own"}))
+    assert job["status"] == "done", job["error"]
+
+
+def test_a_done_surrogate_counts_while_it_is_there(
+    quick: TestClient, home: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def load(one: ModelVersion) -> str | None:
+        return None if one.surrogate is None else one.version
+
+    other: dict[str, Any] = {}
+    monkeypatch.setattr("service.model_routes.load", load)
+    monkeypatch.setattr(
+        "service.model_routes.told", lambda one: {"version": one} | other
+    )
+
     def trained() -> dict[str, Any]:
         return ended(quick, quick.post("/v1/models/first/surrogate", json={}))
 
@@ -355,6 +394,9 @@ def test_a_done_surrogate_counts_while_it_is_there(
     version(-0.0005).save(home.folder / "first")
     assert trained()["id"] != job["id"]
     assert (home.folder / "first" / "surrogate").is_dir()
+    again = trained()["id"]
+    other["paths"] = 50  # another one has taken its place meanwhile
+    assert trained()["id"] != again
 
 
 def test_accepted_predictions_are_answered_by_their_version_whatever_becomes_of_it(

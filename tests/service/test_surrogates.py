@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -245,6 +248,30 @@ def test_a_surrogate_answers_as_soon_as_it_is_there(
     (made.folder / "surrogate").mkdir()
     assert switch.now().model is quick
     assert switch.now().model_version == made.version
+
+
+def test_a_training_that_ends_meanwhile_fails_no_answer(
+    home: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its working folder goes while the version is looked through."""
+    home.use("first")
+    switch = Switch(FakeSurrogate(), "reference", home)
+    monkeypatch.setattr("service.current.load", lambda one: None)
+    work = home.folder / "first" / "surrogate.work"
+    ended = threading.Event()
+
+    def publish() -> None:
+        for _ in range(100):
+            (work / "rows" / "a").mkdir(parents=True)
+            (work / "model").mkdir()
+            shutil.rmtree(work)
+        ended.set()
+
+    with ThreadPoolExecutor(1) as pool:
+        publishing = pool.submit(publish)
+        while not ended.is_set():
+            assert switch.now().name == "first"
+        publishing.result()
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ from surrogate.budget import one_path
 from surrogate.corrected import Corrected
 from surrogate.ensemble import Ensemble
 from surrogate.increment import PairTask
-from surrogate.learn import INCREMENT, PLAN, learn
+from surrogate.learn import FORMER, INCREMENT, PLAN, learn
 from tests.datagen.fake_solver import Here
 from tests.discrepancy.versions import version
 from tests.surrogate.learn_process import PATHS, SEED, run
@@ -212,7 +212,25 @@ def test_a_new_beginning(dataset: Dataset, finished: Path, tmp_path: Path) -> No
     assert Corrected.load(out).version == first.version
     assert begin(out, paths=17, restart="b").description["paths"] == 17
     assert Corrected.load(out).description["paths"] == 17 and not work.exists()
+    # The command gives every beginning a name of its own: asked for once more it goes
+    # on where it was stopped, and what is there serves until then.
+    with pytest.raises(Stop):
+        begin(out, paths=18, restart="c", report=stop)
+    assert begin(out, paths=17).description["paths"] == 17
+    solved.clear()
+    last = begin(out, paths=18, restart="d", report=lambda *now: solved.append(now[:2]))
+    assert last.description["paths"] == 18 and not work.exists()
+    assert min(done for stage, done in solved if stage == "increment") == 4
+    with pytest.raises(Stop):
+        begin(out, paths=17, restart="e", report=stop)
+    with pytest.raises(Stop):  # other settings: from the beginning
+        begin(out, paths=16, restart="f", report=stop)
+    assert json.loads((work / PLAN).read_text())["paths"] == 16
+    # Killed when it had made way and the new one was not in its place.
+    os.replace(out, work / FORMER)
+    assert begin(out, paths=18).version == last.version
     # Damage is no reason not to begin anew.
+    shutil.rmtree(work)
     (out / "model.json").write_text("{")
     work.mkdir()
     (work / PLAN).write_text("[")
