@@ -27,6 +27,10 @@ BASELINE = "baseline"
 """The model without adopted effects: the first parent."""
 
 
+class DamagedError(FileError):
+    """A file that no program has written so; what it held cannot be known."""
+
+
 def record(path: Path, schema: str, version: int, other: str) -> dict[str, Any]:
     """A JSON file that names its schema.
 
@@ -44,7 +48,9 @@ def record(path: Path, schema: str, version: int, other: str) -> dict[str, Any]:
     FileNotFoundError, NotADirectoryError
         When there is none.
     FileError
-        When it cannot be read, is damaged, or is of another schema or version.
+        When it cannot be read, or is of another version.
+    DamagedError
+        When it is not JSON, or of another schema.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -53,9 +59,9 @@ def record(path: Path, schema: str, version: int, other: str) -> dict[str, Any]:
     except OSError as error:
         raise FileError(path, f"cannot be read: {reason(error)}") from error
     except ValueError as error:
-        raise FileError(path, "is damaged: not JSON") from error
+        raise DamagedError(path, "is damaged: not JSON") from error
     if not isinstance(data, dict) or data.get("schema") != schema:
-        raise FileError(path, other)
+        raise DamagedError(path, other)
     if data.get("schema_version") != version:
         raise FileError(
             path,

@@ -22,6 +22,9 @@ Array = np.ndarray
 
 LOADING, UNLOADING = "loading", "unloading"
 
+JITTER = 0.01
+"""Of the largest load: smaller loads, and smaller steps back, are a gauge's."""
+
 SPECIMENS: dict[str, type[Design] | type[Bulge] | type[Tensile]] = {
     "actuator": Design,
     "bulge": Bulge,

@@ -15,6 +15,7 @@ from datagen.specimens import Bulge, Tensile
 from .calibration import FIELDS
 from .measurement import Curve, Measurements
 from .prior import Prior
+from .provenance import source_digest
 from .solves import Solve, Solved, Values, values_of
 from .traits import Traits
 
@@ -50,6 +51,7 @@ class Paths:
         self._measured = measurements.curves
         self._known = known
         self._folder = str(folder) if folder is not None else None
+        self._sources: dict[str, str] = {}
         designs = (c.design for c in self._measured)
         device = next((d for d in designs if isinstance(d, Design)), named_device("S1"))
         self.traits = Traits(known, device, folder)
@@ -133,7 +135,22 @@ class Paths:
                 by = ("modulus",)
         load, time, _ = self.load(c, names)
         effects = self._effects(c, names, t)
-        return Solve(curve.design, load, time, effects, level, by, self._folder)
+        return Solve(
+            curve.design,
+            load,
+            time,
+            effects,
+            level,
+            by,
+            self._folder,
+            tuple(self._source(name) for name, _ in effects),
+        )
+
+    def _source(self, name: str) -> str:
+        """Digest of an effect's file as it was when the effect was read."""
+        if name not in self._sources:
+            self._sources[name] = source_digest(self._known[name])
+        return self._sources[name]
 
     def _effects(
         self, c: int, names: tuple[str, ...], t: Sequence[float] | Array

@@ -21,6 +21,7 @@ from datagen.specimens import Bulge, Tensile
 
 from .columns import DESIGN_NAMES, NUMBERS, refusal
 from .measurement import (
+    JITTER,
     LOADING,
     MEASURED,
     UNLOADING,
@@ -55,9 +56,6 @@ STILL = 0.01
 LEAST_DIP = 20e-6
 """m.  A roof lower than at rest by more than this, and by three standard deviations,
 is reported: noise of a camera is smaller."""
-
-JITTER = 0.01
-"""Of the largest load: smaller loads, and smaller steps back, are a gauge's."""
 
 CLOCK = 1e8
 """s.  Three years: a time of that size is a date, and not a test's."""
@@ -158,9 +156,10 @@ def _measurements(
     for name, device in devices.items():
         _start_clock(name, device, warnings)
     curves = []
+    largest = _largest(devices.values())
     for name, device in devices.items():
-        _check_values(device, complaints, warnings)
-        _check_stds(device, devices.values(), complaints)
+        _check_values(device, table, complaints, warnings)
+        _check_stds(device, largest, table, complaints)
         measured = [
             curve
             for key, rows in device.curves.items()
@@ -346,18 +345,21 @@ def _limits(design: Design | Bulge | Tensile) -> dict[str, tuple[float, float, s
     return limits
 
 
-def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) -> None:
+def _check_values(
+    device: _Device, table: Table, complaints: Complaints, warnings: list[str]
+) -> None:
     """Readings against what the design allows."""
     if device.design is None:
         return
     limits = _limits(device.design)
     if isinstance(device.design, Tensile):
         _check_stress(device.design, device.curves.values(), complaints)
-    for reading in (one for rows in device.curves.values() for one in rows):
+    for reading in device.readings:
         row = reading.row
         for quantity, (lower, upper, why) in limits.items():
             if quantity in reading.numbers:
-                wrong = refusal(quantity, reading.get(quantity), lower, upper, why)
+                value, hint = reading.get(quantity), table.in_bench_unit(quantity)
+                wrong = refusal(quantity, value, lower, upper, why, hint=hint)
                 if wrong:
                     complaints.add(row.where(quantity), wrong)
         rise, std = reading.get("inflation", 0.0), reading.get("inflation_std", 0.0)
@@ -368,8 +370,23 @@ def _check_values(device: _Device, complaints: Complaints, warnings: list[str]) 
             )
 
 
+def _largest(devices: Iterable[_Device]) -> dict[tuple[str, str], float]:
+    """Largest amount of each specimen's quantities in the file, SI."""
+    found: dict[tuple[str, str], float] = {}
+    for device in devices:
+        for reading in device.readings:
+            for quantity in MEASURED[device.specimen]:
+                key = device.specimen, quantity
+                amount = abs(reading.get(quantity, 0.0))
+                found[key] = max(found.get(key, 0.0), amount)
+    return found
+
+
 def _check_stds(
-    device: _Device, devices: Iterable[_Device], complaints: Complaints
+    device: _Device,
+    largest: dict[tuple[str, str], float],
+    table: Table,
+    complaints: Complaints,
 ) -> None:
     """Stated noise against the largest reading of its quantity in the file.
 
@@ -379,12 +396,8 @@ def _check_stds(
     design = device.design
     if design is None:
         return
-    alike = [one for one in devices if one.specimen == device.specimen]
     for quantity in MEASURED[device.specimen]:
-        top = LARGEST_STD * max(
-            (abs(one.get(quantity, 0.0)) for each in alike for one in each.readings),
-            default=0.0,
-        )
+        top = LARGEST_STD * largest.get((device.specimen, quantity), 0.0)
         field = f"{quantity}_std"
         why = f"{LARGEST_STD:g} times the largest {NUMBERS[quantity].name} of the file"
         still = STILL * design.length if isinstance(design, Design) else 0.0
@@ -393,7 +406,8 @@ def _check_stds(
         for reading in device.readings:
             if top > 0 and field in reading.numbers:
                 std = reading.get(field)
-                wrong = refusal(field, std, 0.0, top, why)
+                hint = table.in_bench_unit(field)
+                wrong = refusal(field, std, 0.0, top, why, hint=hint)
                 if wrong:
                     complaints.add(reading.row.where(field), wrong)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .columns import NUMBERS
-from .measurement import Curve, Measurements
+from .measurement import JITTER, Curve, Measurements
 
 Array = np.ndarray
 
@@ -99,7 +99,8 @@ def at_rest_alone(
     """Specimens and quantities that are read at rest alone, without a stated noise.
 
     Nothing tells theirs: it is guessed from what a quantity is under load, and a
-    baseline at rest is zero, from which any number would lie far away.
+    baseline at rest is zero, from which any number would lie far away.  At rest is what
+    is below `JITTER` of the largest load of such specimens.
 
     Parameters
     ----------
@@ -107,13 +108,18 @@ def at_rest_alone(
     cells : sequence of (curve, step, column)
         The readings.
     """
+    loads: dict[int, Array] = {}
+    largest: dict[str, float] = {}
+    for c, curve in enumerate(measurements.curves):
+        loads[c] = np.abs(curve.load - (1.0 if curve.specimen == "tensile" else 0.0))
+        top = max(largest.get(curve.specimen, 0.0), float(loads[c].max()))
+        largest[curve.specimen] = top
     told: dict[tuple[str, str], bool] = {}
     for c, s, m in cells:
         curve = measurements.curves[c]
-        rest = 1.0 if curve.specimen == "tensile" else 0.0
         kind = (curve.specimen, curve.outputs[m])
-        heard = curve.load[s] != rest or bool(np.isfinite(curve.std[s, m]))
-        told[kind] = told.get(kind, False) or heard
+        heard = loads[c][s] > JITTER * largest[curve.specimen]
+        told[kind] = told.get(kind, False) or heard or np.isfinite(curve.std[s, m])
     return tuple(kind for kind, heard in told.items() if not heard)
 
 
@@ -148,7 +154,7 @@ def _shared(runs: list[Curve], name: str, branch: str) -> tuple[Array, Array]:
 def _last_digit(values: Array, name: str) -> float:
     """Largest power of ten, of the bench unit or SI, that all values are multiples of.
 
-    SI; the unit they were written in is one of the two, but for a power of ten.
+    SI.  Files are written in one of the two, as a rule.
 
     Parameters
     ----------

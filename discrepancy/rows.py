@@ -93,11 +93,9 @@ def _number(
 ) -> float | None:
     """A field of a number, SI; None where it is none or outside its range."""
     column = NUMBERS[name]
-    heading = table.headings.get(name)
-    # Whether the file's unit is the bench's; tables without headings state theirs.
-    own = heading is None or table.factors[name] == column.bench.factor
-    heading = column.name if own else heading
-    unit = f" in {column.unit}" if column.unit and own else ""
+    same = table.in_bench_unit(name)
+    heading = column.name if same else table.headings.get(name, column.name)
+    unit = f" in {column.unit}" if column.unit and same else ""
     text = text.replace(MINUS, "-")
     if not NUMBER.fullmatch(text):
         complaints.add(
@@ -108,9 +106,10 @@ def _number(
         return None
     value = float(text.replace(table.decimal, ".")) * table.factors[name]
     lower = column.lower
-    wrong = refusal(name, value, lower, column.upper, hint=own)
-    if wrong and not own:
-        wrong += f"; written as {text} in column {heading}"
+    wrong = refusal(name, value, lower, column.upper, hint=same)
+    if wrong and not same:
+        where = table.headings.get(name)
+        wrong += f"; written as {text}" + (f" in column {where}" if where else "")
     if wrong is None and name.endswith("_std") and value <= 0:
         wrong = (
             f"{column.name}: {text} {column.unit} is not allowed; allowed: a number "

@@ -67,6 +67,9 @@ class Solve:
         Fields of the specimen to differentiate by; parameters of the active effects
         are always differentiated by.
     effects_dir : str or None
+    sources : tuple of str
+        Digests of the files that the effects are written in, in their order, where the
+        answer has to be of just those; else of what is there when it is asked for.
     """
 
     specimen: Specimen
@@ -76,16 +79,22 @@ class Solve:
     level: str
     by: tuple[str, ...] = ()
     effects_dir: str | None = None
+    sources: tuple[str, ...] = ()
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """Digests of the effects' files as they are now."""
+        known = _catalogue(self.effects_dir)
+        return tuple(source_digest(known[name]) for name, _ in self.effects)
 
     @property
     def key(self) -> str:
         """Hash of all that determines the answer, the effects' source included."""
-        known = _catalogue(self.effects_dir)
         content = asdict(self) | {
             "kind": type(self.specimen).__name__,
             "effects_dir": None,
             "generator": GENERATOR_VERSION,
-            "sources": [source_digest(known[name]) for name, _ in self.effects],
+            "sources": self.sources or self.written,
         }
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -200,11 +209,14 @@ def _model_of(
     return model
 
 
-def _solve_as(task: Solve, key: str) -> Solved:
-    """Solve in another process, with the effects as they are known by this key."""
-    if task.key != key:
-        raise FileError(task.effects_dir, "an effect in it was changed meanwhile")
-    return solve(task)
+def _solve_as_written(task: Solve) -> Solved:
+    """Solve, in any process, with the effects as the task has them or not at all."""
+    before = task.sources or task.written
+    if task.written == before:
+        answer = solve(task)
+        if task.written == before:
+            return answer
+    raise FileError(task.effects_dir, "an effect in it was changed meanwhile")
 
 
 def solve(task: Solve) -> Solved:
@@ -388,9 +400,11 @@ class Solver:
         InputError
             When a specimen or its load is not allowed.
         FileError
-            When the folder of kept solves cannot be written to.
+            When the folder of kept solves cannot be written to, or an effect of one's
+            own was changed meanwhile.
         """
         wanted = list(dict.fromkeys(tasks))
+        keys = {task: task.key for task in wanted}
         answers: dict[Solve, Solved] = {}
         missing = []
         for task in wanted:
@@ -401,8 +415,8 @@ class Solver:
                 answers[task] = found
 
         def keep(task: Solve, answer: Solved) -> None:
-            answers[task] = self._memory[task.key] = answer
-            answer.write(self._file(task.key))
+            answers[task] = self._memory[keys[task]] = answer
+            answer.write(self._file(keys[task]))
             self.solved += 1
             if self.progress is not None:
                 self.progress(Progress(len(answers), len(wanted), what))
@@ -413,10 +427,10 @@ class Solver:
             self._check_cache()
         if self.workers == 1 or len(missing) <= 1:
             for task in missing:
-                keep(task, solve(task))
+                keep(task, _solve_as_written(task))
             return answers
         pool = self._executor()
-        futures = {pool.submit(_solve_as, task, task.key): task for task in missing}
+        futures = {pool.submit(_solve_as_written, task): task for task in missing}
         for future in as_completed(futures):
             keep(futures[future], future.result())
         return answers

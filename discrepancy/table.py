@@ -160,6 +160,10 @@ class Table:
     unknown: tuple[str, ...] = ()
     headings: dict[str, str] = field(default_factory=dict)
 
+    def in_bench_unit(self, name: str) -> bool:
+        """Whether a number is written in the unit that messages speak of."""
+        return self.factors.get(name) in (None, NUMBERS[name].bench.factor)
+
 
 def read_bytes(path: Path) -> bytes:
     """All of a file, or a `FileError` that says why not."""
@@ -228,7 +232,8 @@ def _split(path: Path, number: int, lines: list[str], separator: str) -> list[st
         fields = next(reader)
         runs_on = reader.line_num > 1
         if runs_on and (reader.line_num > FOLDED or not _closed(fields, separator)):
-            fields = next(csv.reader(lines[:1], delimiter=separator))
+            line = lines[:1]
+            fields = next(csv.reader(line, delimiter=separator, skipinitialspace=True))
     except csv.Error as error:
         raise FileError(f"{path}:{number}", f"not CSV: {error}") from error
     return [_on_one_line(one) for one in fields]

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 from datagen.atomic import TEMPORARY, reason, sync, write_text
 from datagen.errors import FileError, InputError
 
-from .layout import BASELINE, is_version, record
+from .layout import BASELINE, DamagedError, is_version, record
 
 if TYPE_CHECKING:
     from .version import ModelVersion
@@ -228,13 +228,13 @@ class Workspace:
     def use(self, text: str, ready: Ready | None = None) -> str:
         """Put a version into use, or the baseline; the name of what is in use now.
 
+        What was in use before is forgotten where ``current.json`` is damaged.
+
         Parameters
         ----------
         text : str
         ready : callable, optional
             As `Ready`.
-
-        What was in use before is forgotten where ``current.json`` is damaged.
 
         Raises
         ------
@@ -245,7 +245,7 @@ class Workspace:
             name = BASELINE if text == BASELINE else self._usable(text, ready)
             try:
                 history = self._history()
-            except FileError:  # damaged: what is put into use repairs it
+            except DamagedError:  # what is put into use repairs it
                 history = []
             if not history or history[-1] != name:
                 before = history or [BASELINE]
@@ -400,7 +400,7 @@ class Workspace:
         given = [*before, name] if isinstance(before, list) else [None]
         names = [one for one in given if isinstance(one, str) and NAME.fullmatch(one)]
         if len(names) < len(given):
-            raise FileError(path, "is damaged: names of versions are expected")
+            raise DamagedError(path, "is damaged: names of versions are expected")
         return names
 
     def _write(self, history: Sequence[str]) -> None:

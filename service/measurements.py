@@ -6,7 +6,6 @@ A file's id is the beginning of its bytes' hash: what is sent twice is kept once
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import shutil
 import uuid
@@ -95,16 +94,31 @@ class MeasurementFiles:
         return identity
 
     def _is_kept(self, identity: str, content: bytes) -> bool:
-        """Whether a file is there and whole; what is left of one that is not, goes."""
-        try:
-            if self.path(identity).read_bytes() == content:
-                return True
-        except (MeasurementsNotFound, FileNotFoundError):  # removed meanwhile
-            pass
-        except OSError:
+        """Whether a file is there and whole; one that is damaged goes."""
+        there = self.folder / identity
+        if not there.exists():
             return False
-        shutil.rmtree(self.folder / identity, ignore_errors=True)
+        if self._is_whole(there, content):
+            return True
+        aside = self.folder / f"{uuid.uuid4().hex}{TEMPORARY}"
+        try:
+            there.rename(aside)
+            if self._is_whole(aside, content):  # kept anew by another meanwhile
+                aside.rename(there)
+                return True
+        except OSError:  # removed meanwhile, or kept anew
+            return self._is_whole(there, content)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
         return False
+
+    @staticmethod
+    def _is_whole(folder: Path, content: bytes) -> bool:
+        try:
+            (file,) = folder.iterdir()
+            return file.read_bytes() == content
+        except (OSError, ValueError):  # none there, or not one file
+            return False
 
     def path(self, identity: str) -> Path:
         """The file with this id.
@@ -174,7 +188,7 @@ def own_name(name: str) -> str:
     """
     last = re.split(r"[\\/]", name)[-1].lstrip(".").strip()
     seen = "".join(sign if sign.isprintable() else "_" for sign in last)
-    return os.fsencode(seen[:LONGEST])[:WIDEST].decode(errors="ignore")
+    return seen[:LONGEST].encode()[:WIDEST].decode(errors="ignore").strip()
 
 
 def _not_found(identity: str) -> MeasurementsNotFound:

@@ -256,7 +256,7 @@ def known_effects(names: list[str], own: Sequence[str] = ()) -> None:
     """
     from datagen.effects import catalogue
 
-    known = [*catalogue(), *(name for name in own if name not in catalogue())]
+    known = dict.fromkeys([*catalogue(), *own])
     for name in names:
         if name not in known:
             raise InputError("effects", name, ", ".join(known))

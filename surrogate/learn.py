@@ -196,8 +196,7 @@ def learn(
         base, dataset, space, near, seed, samples, paths, minutes, settings
     ) | {"effects_dir": _sources(effects_dir)}
     with _alone(folder):
-        if not folder.exists() and (work / FORMER).exists():
-            os.replace(work / FORMER, folder)  # killed while the new one took its name
+        _restore(folder, work)
         if folder.exists() and not (restart and _beginning(folder) != restart):
             return _finished(folder, work, wanted, resume or bool(restart))
         begun = _begin(work, wanted, resume, restart)
@@ -468,6 +467,9 @@ def _begin(
     if not found:
         raise FileError(path, "not a plan; restart (--restart) begins anew")
     _check_same(wanted, found, work)
+    if restart and found.get("restart") != restart:
+        found |= {"restart": restart}  # the one who goes on with it
+        write_text(path, json.dumps(found, indent=1) + "\n")
     return found
 
 
@@ -485,6 +487,16 @@ def _make(work: Path) -> None:
         work.mkdir(exist_ok=True)
     except OSError as error:
         raise FileError(work, f"cannot be made: {reason(error)}") from error
+
+
+def _restore(folder: Path, work: Path) -> None:
+    """Give a model its name back that had made way when the run was killed."""
+    if folder.exists() or not (work / FORMER).exists():
+        return
+    try:
+        os.replace(work / FORMER, folder)
+    except OSError as error:
+        raise FileError(folder, f"cannot be written: {reason(error)}") from error
 
 
 def _finished(

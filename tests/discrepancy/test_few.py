@@ -103,7 +103,7 @@ def test_what_is_read_at_rest_alone_accuses_nothing(cache: Path) -> None:
         still,
         device="S1",
         design=named_device("S1"),
-        load=np.array([0.0, 10e3]),
+        load=np.array([50.0, 10e3]),  # what a gauge shows at rest
         branch=np.array(["loading"] * 2),
         outputs=("tip_deflection", "inflation"),
         values=np.array([[1e-6, 1e-6], [np.nan, 1e-4]]),

@@ -14,8 +14,9 @@ from datagen.errors import FileError
 from datagen.specimens import Bulge, Tensile
 from discrepancy.measurement import Curve, Measurements
 from discrepancy.paths import RESTED, Paths
+from discrepancy.provenance import source_digest
 from discrepancy.rank import Search
-from discrepancy.solves import Solve, Solver, _model, _solve_as, solve, values_of
+from discrepancy.solves import Solve, Solved, Solver, _model, solve, values_of
 from discrepancy.study import Study
 
 from .versions import OWN, own_folder
@@ -173,6 +174,37 @@ def test_a_specimen_may_lie_on_a_limit(tmp_path: Path) -> None:
 
 def test_a_worker_refuses_another_effect_than_it_was_sent_for(tmp_path: Path) -> None:
     """Its file was edited between the start of a run and that of a worker."""
-    task = paths(FIRST).task(0, "draft")
+    own = own_folder(tmp_path)
+    known = catalogue(own)
+    task = Paths(Measurements((FIRST,)), known, own).task(
+        0, "draft", ("shrunk_roof",), [0.1]
+    )
+    assert task.sources == (source_digest(known["shrunk_roof"]),)
+    key = task.key
+    own_folder(own, OWN + "\n# refined\n")
+    for one in (task, replace(task, sources=())):
+        # What is asked for is as it was; a solve of the new file would not be.
+        assert (one.key == key) is bool(one.sources)
+    cache = tmp_path / "cache"
     with pytest.raises(FileError, match="an effect in it was changed meanwhile"):
-        _solve_as(replace(task, effects_dir=str(tmp_path)), "another key")
+        Solver(1, cache).all([task])
+    assert not list(cache.rglob("*.npz"))
+
+
+def test_an_effect_that_is_edited_during_its_solve_leaves_no_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = own_folder(tmp_path)
+    effects = values_of({"shrunk_roof": {"shrinkage": 0.001}})
+    task = replace(paths(FIRST).task(0, "draft"), effects=effects, effects_dir=str(own))
+
+    def edited(_task: Solve) -> Solved:
+        own_folder(own, OWN + "\n# refined\n")
+        values = np.ones((3, 1))
+        return Solved(("inflation",), values, (), values[:, None], "completed", "", 0.0)
+
+    monkeypatch.setattr("discrepancy.solves.solve", edited)
+    cache = tmp_path / "cache"
+    with pytest.raises(FileError, match="an effect in it was changed meanwhile"):
+        Solver(1, cache).all([task])
+    assert not list(cache.rglob("*.npz"))

@@ -301,8 +301,8 @@ REFUSED: dict[str, tuple[str, str, int, dict[str, str], str]] = {
         "1",
         2,
         {"measurement": "high"},
-        "inflation_mm: 'high' is not allowed; allowed: a plain number in mm, or "
-        "nothing where a reading is missing",
+        "inflation_mm: 'high' is not allowed; allowed: a plain number, or nothing "
+        "where a reading is missing",
     ),
     "a reading twice": (
         "measurements",

@@ -120,7 +120,7 @@ def test_angles_that_were_rounded_away_tell_no_noise() -> None:
     whole = runs(3, rng, 0.0)
     for unit, name in ((np.pi / 180, "bending_angle"), (1.0, "bending_angle")):
         for scatter, told in ((0.02, False), (2.0, True)):
-            true = np.linspace(3.0, 21.0, len(LOAD))
+            true = np.linspace(3.0, 22.0, len(LOAD))  # between whole digits
             curves = []
             for curve in whole.curves:
                 read = np.round(true + scatter * rng.standard_normal(len(LOAD)))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import shutil
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -23,6 +23,7 @@ from discrepancy.folder import read
 from discrepancy.version import Estimate, Measured, ModelVersion
 from discrepancy.workspace import Workspace
 from service.app import KINDS, Settings, create_app
+from service.bench import plain
 from service.current import Switch
 from service.surrogates import (
     SAMPLES,
@@ -31,6 +32,7 @@ from service.surrogates import (
     declared,
     learned,
     lines,
+    load,
     train,
 )
 from surrogate.corrected import Corrected
@@ -258,20 +260,27 @@ def test_a_training_that_ends_meanwhile_fails_no_answer(
     switch = Switch(FakeSurrogate(), "reference", home)
     monkeypatch.setattr("service.current.load", lambda one: None)
     work = home.folder / "first" / "surrogate.work"
-    ended = threading.Event()
 
     def publish() -> None:
         for _ in range(100):
             (work / "rows" / "a").mkdir(parents=True)
             (work / "model").mkdir()
             shutil.rmtree(work)
-        ended.set()
 
     with ThreadPoolExecutor(1) as pool:
         publishing = pool.submit(publish)
-        while not ended.is_set():
-            assert switch.now().name == "first"
+        while not publishing.done():
+            now = switch.now()
+            assert (now.name, now.problem) == ("first", "")
         publishing.result()
+
+
+def test_what_a_job_has_kept_of_a_surrogate_is_that_surrogate(home: Workspace) -> None:
+    """By which a server tells that it is still the one."""
+    first, _ = refitted(home)
+    made = load(first)
+    assert made is not None
+    assert plain(about(made)) == json.loads(json.dumps(about(made)))
 
 
 @pytest.fixture

@@ -225,7 +225,11 @@ def test_a_new_beginning(dataset: Dataset, finished: Path, tmp_path: Path) -> No
         begin(out, paths=17, restart="e", report=stop)
     with pytest.raises(Stop):  # other settings: from the beginning
         begin(out, paths=16, restart="f", report=stop)
-    assert json.loads((work / PLAN).read_text())["paths"] == 16
+    plan = json.loads((work / PLAN).read_text())
+    assert (plan["paths"], plan["restart"]) == (16, "f")
+    with pytest.raises(Stop):
+        begin(out, paths=16, restart="g", report=stop)
+    assert json.loads((work / PLAN).read_text())["restart"] == "g"
     # Killed when it had made way and the new one was not in its place.
     os.replace(out, work / FORMER)
     assert begin(out, paths=18).version == last.version
