@@ -169,6 +169,14 @@ class Curve:
         return next(n for n, kind in SPECIMENS.items() if isinstance(self.design, kind))
 
     @property
+    def reach(self) -> Array:
+        """(s,) distance from rest, signed: pressure in Pa, or stretch less one."""
+        reach: Array = (
+            self.load - 1.0 if isinstance(self.design, Tensile) else self.load
+        )
+        return reach
+
+    @property
     def pressure(self) -> Array:
         """Gauge pressure (s,), Pa."""
         if isinstance(self.design, Tensile):

@@ -108,17 +108,15 @@ def at_rest_alone(
     cells : sequence of (curve, step, column)
         The readings.
     """
-    loads: dict[int, Array] = {}
     largest: dict[str, float] = {}
-    for c, curve in enumerate(measurements.curves):
-        loads[c] = np.abs(curve.load - (1.0 if curve.specimen == "tensile" else 0.0))
-        top = max(largest.get(curve.specimen, 0.0), float(loads[c].max()))
+    for curve in measurements.curves:
+        top = max(largest.get(curve.specimen, 0.0), float(np.abs(curve.reach).max()))
         largest[curve.specimen] = top
     told: dict[tuple[str, str], bool] = {}
     for c, s, m in cells:
         curve = measurements.curves[c]
         kind = (curve.specimen, curve.outputs[m])
-        heard = loads[c][s] > JITTER * largest[curve.specimen]
+        heard = abs(curve.reach[s]) > JITTER * largest[curve.specimen]
         told[kind] = told.get(kind, False) or heard or np.isfinite(curve.std[s, m])
     return tuple(kind for kind, heard in told.items() if not heard)
 

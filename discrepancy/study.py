@@ -203,7 +203,7 @@ class Study:
         top = {
             tensile: max(
                 (
-                    float(np.abs(self._reach(c)).max())
+                    float(np.abs(c.reach).max())
                     for c in curves
                     if self._pulled(c) == tensile
                 ),
@@ -227,7 +227,7 @@ class Study:
             kind = (curve.specimen, curve.outputs[m])
             groups.append(kinds.setdefault(kind, len(kinds)))
             curve_of.append(1000 * c + m)
-            reach = self._reach(curve) / top[self._pulled(curve)]
+            reach = curve.reach / top[self._pulled(curve)]
             places.append(reach[s])
             ways.append(np.abs(np.diff(reach[: s + 1], prepend=0.0)).sum())
             given = curve.std[s, m]
@@ -272,11 +272,6 @@ class Study:
     @staticmethod
     def _pulled(curve: Curve) -> bool:
         return isinstance(curve.design, Tensile)
-
-    def _reach(self, curve: Curve) -> Array:
-        """(s,) distance from rest, signed: pressure, or stretch less one."""
-        reach: Array = curve.load - 1.0 if self._pulled(curve) else curve.load
-        return reach
 
     # -- solves --------------------------------------------------------------------
 

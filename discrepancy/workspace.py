@@ -246,10 +246,10 @@ class Workspace:
             try:
                 history = self._history()
             except DamagedError:  # what is put into use repairs it
-                history = []
-            if not history or history[-1] != name:
-                before = history or [BASELINE]
-                self._write(before if before[-1] == name else [*before, name])
+                history = [BASELINE]
+                self._write(history)
+            if history[-1] != name:
+                self._write([*history, name])
             return name
 
     def undo(self, ready: Ready | None = None) -> str:
