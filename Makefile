@@ -84,7 +84,7 @@ corrected: $(INSTALLED) ## learn surrogates with effects in them, write down how
 	OMP_NUM_THREADS=1 $(BIN)/python -m docs.corrected $(or $(MINUTES),10) $(ONLY)
 
 # FElupe in an environment of its own: pba does not need it.
-bench-fem: $(INSTALLED) $(BENCH)/.installed ## time FElupe and CalculiX against our solver (an hour or two)
+bench-fem: $(INSTALLED) $(BENCH)/.installed ## time FElupe and CalculiX against our solver (an hour)
 	@sh benchmarks/system.sh
 	$(BIN)/python -m benchmarks.bench_fem --felupe-python $(BENCH)/bin/python
 

@@ -13,8 +13,11 @@ from datagen.atomic import write_text
 
 Array = np.ndarray
 
-OWN, REFERENCE_MESH = "pba", "reference"
-MESHES = ("draft", "coarse", "standard", "medium", "fine", REFERENCE_MESH)
+OWN, FINEST = "pba", "finest"
+TURNS, SHORT = 3, 60.0
+"""Runs of each program on each mesh, and how short, s, they are for more than one."""
+
+MESHES = ("draft", "coarse", "standard", "medium", "fine", FINEST)
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,30 @@ class Run:
 
 
 @dataclass(frozen=True)
+class Settled:
+    """The converged answer that errors are of, and its error bars.
+
+    Parameters
+    ----------
+    pressure : list of float, kPa
+        Among those of the record.
+    tip, inflation : list of float, um
+    tip_bar, inflation_bar : float, um
+    """
+
+    pressure: list[float]
+    tip: list[float]
+    inflation: list[float]
+    tip_bar: float
+    inflation_bar: float
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Largest amounts of tip and inflation, um."""
+        return max(map(abs, self.tip)), max(map(abs, self.inflation))
+
+
+@dataclass(frozen=True)
 class Record:
     """All runs and what they have in common.
 
@@ -60,16 +87,21 @@ class Record:
     limit : float, s
         Time after which a run was stopped.
     tolerances : dict of program to str
+    settled : Settled
     versions : dict of program to str
     runs : tuple of Run
+    one_call : bool
+        Whether one call of the command made all of them.
     """
 
     pressure: list[float]
     hardware: str
     limit: float
     tolerances: dict[str, str]
+    settled: Settled
     versions: dict[str, str] = field(default_factory=dict)
     runs: tuple[Run, ...] = ()
+    one_call: bool = False
 
     def with_run(self, run: Run) -> Record:
         """A copy with this run, in the place of an older one of the same name."""
@@ -101,9 +133,11 @@ class Record:
 
     def errors(self, run: Run) -> tuple[float, float]:
         """Largest error of tip and inflation over the path, percent of its maximum."""
-        reference = self.find(OWN, REFERENCE_MESH)
-        pairs = ((run.tip, reference.tip), (run.inflation, reference.inflation))
-        tip, inflation = (_error(mine, right) for mine, right in pairs)
+        spots = [self.pressure.index(at) for at in self.settled.pressure]
+        pairs = ((run.tip, self.settled.tip), (run.inflation, self.settled.inflation))
+        tip, inflation = (
+            _error([mine[spot] for spot in spots], right) for mine, right in pairs
+        )
         return tip, inflation
 
     def write(self, path: Path) -> None:
@@ -112,7 +146,8 @@ class Record:
     @classmethod
     def read(cls, path: Path) -> Record:
         found = json.loads(path.read_text())
-        return cls(**found | {"runs": tuple(Run(**run) for run in found["runs"])})
+        found["runs"] = tuple(Run(**run) for run in found["runs"])
+        return cls(**found | {"settled": Settled(**found["settled"])})
 
 
 def _error(mine: Iterable[float], right: Iterable[float]) -> float:

@@ -149,10 +149,13 @@ class Model:
             self.__dict__["_kept"] = kept
         return kept[1]
 
-    def _on(self, problem: Problem) -> Problem:
-        """A baseline with the active effects in it."""
+    def _on(
+        self, problem: Problem, values: Mapping[str, dict[str, float]] | None = None
+    ) -> Problem:
+        """A baseline with the active effects in it, at other `values` where given."""
+        values = values or self.__dict__["_values"]
         for one in self.active:
-            problem = act(one, problem, self.__dict__["_values"][one.name])
+            problem = act(one, problem, values[one.name])
         return problem
 
     def directions(
@@ -194,9 +197,9 @@ class Model:
             moved = design.with_values(**{name: value})
             return self._on(baseline(moved, level, base))
 
-        def of_parameter(effect: str, name: str, value: float) -> Problem:
-            moved = {**values, effect: {**values[effect], name: value}}
-            return replace(self, parameters=moved)._on(base)
+        def of_parameter(effect: Effect, name: str, value: float) -> Problem:
+            moved = effect.check({**values[effect.name], name: value})
+            return self._on(base, {**values, effect.name: moved})
 
         found = []
         for name in CONTINUOUS_FIELDS:
@@ -212,7 +215,7 @@ class Model:
                 value = values[one.name][parameter.name]
                 step = part * (parameter.upper - parameter.lower)
                 name = f"{one.name}.{parameter.name}"
-                at = partial(of_parameter, one.name, parameter.name)
+                at = partial(of_parameter, one, parameter.name)
                 found.append(_direction(name, value, step, at))
         return found
 

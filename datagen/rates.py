@@ -18,6 +18,7 @@ from numba import njit
 
 from . import elements as el
 from . import surfaces
+from .drawn import drawn_rates, fields_last, line_tables
 from .equilibrium import Equilibrium
 
 Array = np.ndarray
@@ -82,7 +83,8 @@ class Linearised:
         """The tangent times vectors (k, c) of unknowns."""
         eq = self.equations
         fields = np.stack([eq.extend(vector) for vector in vectors.T])
-        rates = self._rates(fields, None)
+        rates = self._element_rates(fields)
+        rates -= self.pressure * eq.faces_gradient_rates(self.x, fields)
         products = np.empty_like(vectors)
         for c, (v, rate) in enumerate(zip(fields, rates, strict=True)):
             for faces, matrices in (*eq.spring_matrices(), *self._skins):
@@ -92,33 +94,43 @@ class Linearised:
 
     def moved(self, dx: Array, undeformed: Array) -> Array:
         """Rates (c, k) of the elements and the load along dx and dX (c, n, 3)."""
-        eq = self.equations
-        return np.stack([eq.restrict(rate) for rate in self._rates(dx, undeformed)])
-
-    def _rates(self, dx: Array, undeformed: Array | None) -> Array:
-        """Rates (c, n, 3) of the nodal forces of elements and load."""
-        loads = self.equations.faces_gradient_rates(self.x, dx)
-        rates: Array = self._element_rates(dx, undeformed) - self.pressure * loads
-        return rates
-
-    def _element_rates(self, dx: Array, undeformed: Array | None) -> Array:
-        eq = self.equations
-        data = eq.data
-        return _force_rates(
-            dx,
-            dx if undeformed is None else undeformed,
-            undeformed is not None,
+        eq, data = self.equations, self.equations.data
+        elements = drawn_rates(
+            fields_last(dx),
+            fields_last(undeformed),
             self._total,
             *self._moduli,
             eq.problem.bulk_modulus,
             eq.problem.local_share,
             eq.problem.mesh.cells,
-            eq.gradient,
+            line_tables(),
             self._plain,
             data.weight,
             data.basis,
             data.mass_inverse,
         )
+        loads = self.pressure * eq.faces_gradient_rates(self.x, dx)
+        return np.stack(
+            [eq.restrict(elements[..., c] - load) for c, load in enumerate(loads)]
+        )
+
+    def _element_rates(self, dx: Array) -> Array:
+        """Rates (c, n, 3) of the elements' nodal forces along dx (c, n, 3)."""
+        eq, data = self.equations, self.equations.data
+        moduli, dilation, _, _ = self._moduli
+        rates: Array = _force_rates(
+            dx,
+            moduli,
+            dilation,
+            eq.problem.bulk_modulus,
+            eq.problem.local_share,
+            eq.problem.mesh.cells,
+            eq.gradient,
+            data.weight,
+            data.basis,
+            data.mass_inverse,
+        )
+        return rates
 
 
 @njit(cache=True, fastmath=True)
@@ -276,95 +288,52 @@ def _pull_back(
 @njit(cache=True, fastmath=True)
 def _force_rates(
     dx: Array,
-    undeformed: Array,
-    moves: bool,
-    total: Array,
     moduli: Array,
     dilation: Array,
-    force: Array,
-    off: Array,
     bulk: Array,
     local: float,
     cells: Array,
     gradient: Array,
-    plain: Array,
     weight: Array,
     basis: Array,
     mass_inverse: Array,
 ) -> Array:
-    """Derivatives (c, n, 3) of the elements' nodal forces; see the module.
+    """Derivatives (c, n, 3) of the elements' nodal forces along deformed nodes.
 
     Parameters
     ----------
-    dx, undeformed : (c, n, 3) arrays
-        Movements of deformed and, where `moves`, of undeformed nodes.
-    total : (27 e, 9) array
-        F Fg.
-    moduli, dilation, force, off
+    dx : (c, n, 3) array
+        Movements of the nodes.
+    moduli, dilation
         See `_pull_back`.
     bulk, local, cells, gradient, weight, basis, mass_inverse
         As in `elements.internal_force`.
-    plain : (e, 27, 9) array, 1/m
-        J^-1.
     """
     flat = el.flattened(gradient)
     out = np.zeros(dx.shape)
-    m, j, s = np.zeros((3, 81)), np.zeros((3, 81)), np.empty((3, 81))
-    turn, dw, dj = np.zeros((27, 9)), np.zeros(27), np.empty(27)
+    m, s = np.zeros((3, 81)), np.empty((3, 81))
     rhs, theta = np.empty(4), np.empty(4)
     d = np.empty((27, 9))
     for e in range(cells.shape[0]):
         for c in range(dx.shape[0]):
             m[:] = 0.0
-            j[:] = 0.0
-            still = True  # a field of the design moves few of the elements
-            for a in range(27):
-                node = cells[e, a]
-                for i in range(3):
-                    still &= dx[c, node, i] == 0 and undeformed[c, node, i] == 0
-            if still:
-                continue
             for a in range(27):
                 node = cells[e, a]
                 for i in range(3):
                     v = dx[c, node, i]
                     for k in range(81):
                         m[i, k] += v * flat[a, k]
-                if moves:
-                    for i in range(3):
-                        v = undeformed[c, node, i]
-                        for k in range(81):
-                            j[i, k] += v * flat[a, k]
             rhs[:] = 0.0
             for q in range(27):
                 g = d[q]
                 for i in range(3):
                     for k in range(3):
                         g[3 * i + k] = m[i, 3 * q + k]
-                if moves:
-                    t, inv, u = total[27 * e + q], plain[e, q], turn[q]
-                    for k in range(3):
-                        for n in range(3):
-                            j0, j1, j2 = (
-                                j[0, 3 * q + n],
-                                j[1, 3 * q + n],
-                                j[2, 3 * q + n],
-                            )
-                            g[3 * k + n] -= (
-                                t[3 * k] * j0 + t[3 * k + 1] * j1 + t[3 * k + 2] * j2
-                            )
-                            u[3 * k + n] = (
-                                inv[3 * k] * j0
-                                + inv[3 * k + 1] * j1
-                                + inv[3 * k + 2] * j2
-                            )
-                    dw[q] = u[0] + u[4] + u[8]
                 change = 0.0
                 h = dilation[27 * e + q]
                 for r in range(9):
                     change += h[r] * g[r]
-                dj[q] = change
-                w = weight[e, q] * (change + dw[q] * off[e, q])
+                w = weight[e, q] * change
                 for i in range(4):
                     rhs[i] += w * basis[q, i]
             for i in range(4):
@@ -377,20 +346,13 @@ def _force_rates(
                     rate += basis[q, i] * theta[i]
                 rate *= weight[e, q] * bulk[e] * (1.0 - local)
                 point = 27 * e + q
-                b, g, h, p = moduli[point], d[q], dilation[point], force[point]
+                b, g, h = moduli[point], d[q], dilation[point]
                 for i in range(3):
                     for k in range(3):
                         r = 3 * i + k
                         value = rate * h[r]
                         for n in range(9):
                             value += b[9 * r + n] * g[n]
-                        if moves:
-                            u = turn[q]
-                            value += dw[q] * p[r] - (
-                                p[3 * i] * u[3 * k]
-                                + p[3 * i + 1] * u[3 * k + 1]
-                                + p[3 * i + 2] * u[3 * k + 2]
-                            )
                         s[i, 3 * q + k] = value
             for a in range(27):
                 f0 = f1 = f2 = 0.0

@@ -192,6 +192,7 @@ BLOCKS = {
     # Some minutes each; the tests do fewer sets.
     "known": Block(partial(printed, "docs.known"), repeats=False),
     "alarms": Block(partial(printed, "docs.alarms"), repeats=False),
+    "derivatives": Block(partial(printed, "docs.derivative_cost"), repeats=False),
     "differences": Block(partial(printed, "docs.differences"), repeats=False),
 }
 

@@ -311,7 +311,7 @@ def apart(runs: dict[str, Any], quantity: str) -> float:
     return float(np.abs(np.array(one) - np.array(other)).max())
 
 
-ONE = {
+ONE: dict[str, dict[str, Any]] = {
     "elements along the balloon": {"balloon_x": 12},
     "across the balloon": {"balloon_y": 8},
     "from the clamp to the balloon": {"root": 10},

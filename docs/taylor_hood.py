@@ -187,11 +187,11 @@ class TaylorHood:
         faces, tensor = mesh.cavity_faces, face_tensor()
         add_load_stiffness(load, pattern.of_faces, x, faces, tensor, pressure)
         values[self._of_load] += load
-        lack = (data.weight * (det - 1)) @ shape
+        lack: Array = (data.weight * (det - 1)) @ shape
         lack -= np.einsum("eab,eb->ea", self._soft, own[self._vertex])
         rows = np.hstack([force.reshape(count, 81), lack])
         free = self._unknown >= 0
-        residual = np.bincount(self._unknown[free], rows[free])
+        residual: Array = np.bincount(self._unknown[free], rows[free])
         outer = self._known.kinematics(x).gradient
         residual[: self._known.unknowns] -= pressure * self._known.restrict(outer)
         return values, residual
