@@ -60,6 +60,8 @@ LIMIT = "test_benchmarks.py::test_sphere_goes_through_its_limit_pressure"
 STABLE = "test_benchmarks.py::test_stability_is_lost_at_the_limit"
 FINE = "test_benchmarks.py::test_fine_mesh"
 PRODUCTS = "test_rates.py::test_products_are_those_of_the_assembled_tangent"
+MANY = "test_rates.py::test_many_fields_are_as_each_alone"
+LINES = "test_rates.py::test_products_of_lines_are_the_reference_element"
 MOVED = "test_rates.py::test_moved_nodes_against_central_differences"
 
 MUTATIONS = (
@@ -184,17 +186,24 @@ MUTATIONS = (
     ),
     Mutation(
         "volumes that do not change where undeformed nodes move",
-        "rates.py",
-        "(change + dw[q] * off[e, q])",
-        "change",
+        "drawn.py",
+        "+ dw[q, c] * left",
+        "+ 0.0 * left",
         (MOVED,),
     ),
     Mutation(
         "gradients that follow undeformed nodes the wrong way",
-        "rates.py",
-        "value += dw[q] * p[r] - (",
-        "value += dw[q] * p[r] + (",
+        "drawn.py",
+        "- p0 * u_q[3 * k, c]",
+        "+ p0 * u_q[3 * k, c]",
         (MOVED,),
+    ),
+    Mutation(
+        "functions where slopes belong in the forces of moved nodes",
+        "drawn.py",
+        "+ d0 * two[r, w]\n",
+        "+ n0 * two[r, w]\n",
+        (MOVED, MANY, LINES),
     ),
     Mutation(
         "as large a local share however stiff the volume",
