@@ -211,7 +211,13 @@ def test_effects_that_have_slopes() -> None:
 
 
 def test_shipped_slopes_are_found_again() -> None:
-    """Two rows drawn at random, solved again with their derivatives."""
+    """Two rows drawn at random, solved again with their derivatives.
+
+    To 1e-4 of the largest on the path, or to what moves the output over the parameter's
+    whole range by less than 1e-5 of its largest amount: a rotation does not inflate,
+    and the third term of Yeoh's law does nearly nothing at small strain.  Of such
+    derivatives another processor's rounding changes a hundredth.
+    """
     base = Dataset.read(REFERENCE / "dataset.h5")
     found = Dataset.read(REFERENCE / "slopes.h5")
     assert found.base == base.digest()
@@ -245,12 +251,14 @@ def test_shipped_slopes_are_found_again() -> None:
         assert again.parameters == found.parameters and again.jacobian is not None
         good = slice(0, steps[i])
         np.testing.assert_array_equal(again.pressure, found.pressure[i, good])
-        for new, old, within in (
-            (again.values, found.values[i, good], 1e-6),
-            (again.jacobian, found.jacobian[i, good], 1e-4),
-        ):
-            scale = np.nanmax(np.abs(old), axis=0)
-            assert (np.abs(new - old) <= within * scale + 1e-30).all()
+        values, slopes = found.values[i, good], found.jacobian[i, good]
+        largest = np.nanmax(np.abs(values), axis=0)
+        assert (np.abs(again.values - values) <= 1e-6 * largest).all()
+        spans = [found.space[p].upper - found.space[p].lower for p in found.parameters]
+        nothing = 1e-5 * largest[:, None] / np.array(spans)
+        allowed = np.maximum(1e-4 * np.nanmax(np.abs(slopes), axis=0), nothing)
+        assert (np.abs(again.jacobian - slopes) <= allowed).all()
+        assert (nothing < np.nanmax(np.abs(slopes), axis=0)).mean() > 0.8
 
 
 def test_a_coarser_mesh_has_the_difference() -> None:
