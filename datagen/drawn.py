@@ -2,8 +2,9 @@
 
 Shape functions of the 27-node hexahedron are products of three functions of one
 coordinate.  Gradients at its 27 points are thus three sums of three terms each in place
-of one of 27 (Orszag 1980), and the loops over the fields run innermost, as long as the
-processor likes them.  For a few fields the plain sums of `rates.py` are as fast.
+of one of 27 (Orszag 1980, J. Comput. Phys. 37, 70), and the loops over the fields run
+innermost, as long as the processor likes them.  For a few fields the plain sums of
+`rates.py` are faster.
 """
 
 from __future__ import annotations
@@ -198,7 +199,7 @@ def drawn_rates(
     total : (27 e, 9) array
         F Fg.
     moduli, dilation, force, off
-        See `rates.Linearised`.
+        See `_pull_back` in `rates.py`.
     bulk, local, cells, weight, basis, mass_inverse
         As in `elements.internal_force`.
     line : (2, 3, 3) array

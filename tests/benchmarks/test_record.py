@@ -94,6 +94,7 @@ def test_the_document_is_that_of_its_results() -> None:
     folder = ROOT / "docs/benchmarks"
     found = Record.read(folder / "fem.json")
     assert (folder / "fem.md").read_text() == document(found)
+    assert found.settled == bench_fem.settled_answer()
     assert [program.name for program in programs(Path("python"))] == list(
         found.tolerances
     )
